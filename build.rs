@@ -13,7 +13,9 @@
 use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
 use trueup_boot::{
-    flash_layout::{FLASH_START, HANDOVER_SIZE, HANDOVER_START, MAX_BOOT_SIZE, SLOT_SIZE, Slot},
+    flash_layout::{
+        FLASH_START, HANDOVER_SIZE, HANDOVER_START, MAX_BOOT_PROGRAM_SIZE, SLOT_SIZE, Slot,
+    },
     header::HEADER_SIZE,
 };
 use trueup_machine::{compile::compile, file::MachineFile};
@@ -117,7 +119,7 @@ fn image_memory_layout() -> MemoryLayout {
         // The upper part of the RAM: where the application has its stack.
         MemoryLayout {
             start: FLASH_START,
-            length: MAX_BOOT_SIZE,
+            length: MAX_BOOT_PROGRAM_SIZE,
             ram: ram_below_handover(0x2001_8000),
         }
     } else {

@@ -64,14 +64,14 @@ mod app {
         },
         liveness::{self, Task},
         plc::SharedRegisters,
-        supervision::{PERIOD_MS, Supervisor, log_live_values},
+        supervision::{SUPERVISOR_PERIOD_MS, Supervisor, log_live_values},
     };
     use core::mem::MaybeUninit;
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::{Fault, Faults};
     use trueup_core::{
-        bridge::Input, calibration::Calibration, temperature_channels::RawTemperatures,
+        bridge::TickInput, calibration::Calibration, temperature_channels::RawTemperatures,
     };
     use trueup_link::{
         byte_queue::{ByteQueue, Reader, Writer},
@@ -168,7 +168,7 @@ mod app {
             faults: own
                 .with_if(parts.is_example, Fault::ExampleConstants)
                 .with_if(parts.self_test.is_damaged(), Fault::SelfTest),
-            questions: Faults::default().with_if(parts.is_older, Fault::OlderCalibration),
+            questions: Faults::default().with_fault_if(parts.is_older, Fault::OlderCalibration),
             start: parts.start,
             serial_number: parts.serial_number,
             commit: board::COMMIT_HASH,
@@ -249,7 +249,7 @@ mod app {
         let Some(block) = shared.samples.lock(Samples::take_block) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
         let (codes, speed) = (Some(&block.codes), block.speed);
-        let input = Input { codes, speed, temperatures: temperatures.as_ref() };
+        let input = TickInput { codes, speed, temperatures: temperatures.as_ref() };
         let frames = shared.node.lock(|node| run_tick(node, 1, input));
         shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&frames, can, port)));
     }
@@ -341,7 +341,7 @@ mod app {
         let turn = liveness::begin_task(Task::Supervise);
         let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
-            shared.node.lock(|node| node.receive_supply(code));
+            shared.node.lock(|node| node.receive_supply_code(code));
         }
         let is_closed = cx.local.service_switch.is_closed();
         shared.node.lock(|node| node.update_service_switch(is_closed));
@@ -349,16 +349,16 @@ mod app {
             shared.samples.lock(Samples::restart);
         }
         // This clock goes on whatever becomes of the samples, and with it every timeout.
-        if let Some(behind_ms) = shared.node.lock(|node| node.catch_up(PERIOD_MS)) {
+        if let Some(behind_ms) = shared.node.lock(|node| node.catch_up(SUPERVISOR_PERIOD_MS)) {
             let temperatures = shared.temperatures.lock(Option::take);
-            let input = Input { temperatures: temperatures.as_ref(), ..Input::default() };
+            let input = TickInput { temperatures: temperatures.as_ref(), ..TickInput::default() };
             let frames = shared.node.lock(|node| run_tick(node, behind_ms, input));
             shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&frames, can, port)));
         }
         let (now, quality) = shared.node.lock(|node| (node.now().0, node.last_output().quality));
         Supervisor::log_zero_outcome(shared.node.lock(|node| node.take_zero_outcome()));
         // One record at a time: what else is to be stored waits for a later turn.
-        it.advance_store_pace();
+        it.advance_store_rate_limiter();
         if let Some(permit) = it.store_permit() {
             it.store_reference_status(&mut shared.node, permit);
         }
@@ -478,10 +478,10 @@ mod app {
     }
 
     /// Runs a tick of the node, whose time becomes that of the log.
-    fn run_tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> OffsetFrames {
+    fn run_tick(node: &mut Node<'_>, elapsed_ms: u32, input: TickInput<'_>) -> OffsetFrames {
         let frames = node.tick(elapsed_ms, input);
         NOW_MS.store(node.now().0, Ordering::Relaxed);
-        if node.is_service_due() {
+        if node.is_service_frame_due() {
             rtic::pend(SERVICE_INTERRUPT);
         }
         frames

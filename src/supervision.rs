@@ -1,7 +1,7 @@
 //! Decisions of the supervisor every 10 ms, and its report once a second.
 
 use trueup_canopen::emergency::Fault;
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 use trueup_link::slcan::Port;
 use trueup_node::node::{Node, ZeroOutcome};
 use trueup_store::{
@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// Milliseconds between two turns.
-pub const PERIOD_MS: u32 = 10;
+pub const SUPERVISOR_PERIOD_MS: u32 = 10;
 const LOG_PERIOD_MS: u32 = 1_000;
 
 /// State of the supervisor.
@@ -80,7 +80,7 @@ impl Supervisor {
 
     /// Looks at a calibration that has come whole, and stores it for the next start.
     pub fn store_calibration(&mut self, load: &mut LoadBuffer<'_>) -> LoadOutcome {
-        let blob = match load.validate() {
+        let blob = match load.validate_blob() {
             Ok(blob) => blob,
             Err(error) => {
                 defmt::error!("calibration refused: {}", error);
@@ -120,8 +120,8 @@ impl Supervisor {
     }
 
     /// Lets a turn's time pass for [`Self::store_permit`].
-    pub fn advance_store_pace(&mut self) {
-        self.store_pace.advance_time(PERIOD_MS);
+    pub fn advance_store_rate_limiter(&mut self) {
+        self.store_pace.advance_time(SUPERVISOR_PERIOD_MS);
     }
 
     /// Returns the permission where the store takes a record now: one in [`trueup_store::rate_limit::STORE_PERIOD_MS`].
@@ -174,17 +174,17 @@ impl Supervisor {
     }
 
     /// On: live; fast: fault; slow: anything else.
-    pub fn update_status_led(&mut self, now_ms: u32, quality: Quality) {
+    pub fn update_status_led(&mut self, now_ms: u32, quality: OffsetQuality) {
         self.lamp.set(match quality {
-            Quality::Live => true,
-            Quality::Fault => now_ms % 200 < 100,
+            OffsetQuality::Live => true,
+            OffsetQuality::Fault => now_ms % 200 < 100,
             _ => now_ms % 1_000 < 500,
         });
     }
 
     /// Feeds it, unless a task hangs; then the next start finds the one that this turn has interrupted.
-    pub fn feed_watchdog(&mut self, turn: &TaskGuard, quality: Quality) {
-        if self.roll.check_for_hang(PERIOD_MS) && !self.hangs {
+    pub fn feed_watchdog(&mut self, turn: &TaskGuard, quality: OffsetQuality) {
+        if self.roll.check_for_hang(SUPERVISOR_PERIOD_MS) && !self.hangs {
             defmt::error!("a task hangs");
             self.hangs = true;
             turn.blame_preempted();
@@ -192,11 +192,11 @@ impl Supervisor {
         if !self.hangs {
             self.watchdog.feed();
             self.brown_out.raise_when_idle(
-                !matches!(quality, Quality::Off | Quality::Fault),
+                !matches!(quality, OffsetQuality::Off | OffsetQuality::Fault),
                 &mut self.watchdog,
             );
             #[cfg(feature = "slots")]
-            self.own_slot.update_confirmation(quality, PERIOD_MS);
+            self.own_slot.update_confirmation(quality, SUPERVISOR_PERIOD_MS);
         }
     }
 
@@ -234,7 +234,7 @@ impl Supervisor {
 
     /// Returns true once a second.
     pub fn is_log_due(&mut self) -> bool {
-        self.until_log_ms = self.until_log_ms.saturating_sub(PERIOD_MS);
+        self.until_log_ms = self.until_log_ms.saturating_sub(SUPERVISOR_PERIOD_MS);
         let due = self.until_log_ms == 0;
         if due {
             self.until_log_ms = LOG_PERIOD_MS;

@@ -23,7 +23,7 @@ use support::{
     xtask,
 };
 use tempfile::TempDir;
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, process, setup};
 use trueup_link::{
     frames::{self, NmtState},
@@ -381,7 +381,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
         blob[at] ^= 0x04;
         blob
     };
-    let image = firmware::build_virtual()?;
+    let image = firmware::build_virtual_board_image()?;
     let blobs = [
         // The mark, the layout's number, a limit, the sensor's slope, the checksum itself.
         (flipped(0), "Magic { found: "),
@@ -406,7 +406,11 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
             } else if let Some(output) = offsets.accept(&frame)? {
                 outputs += 1;
                 // No CNC has engaged: nothing is available either way, and the log tells why.
-                assert_eq!((output.quality, output.offset), (Quality::Fault, None), "{output:?}");
+                assert_eq!(
+                    (output.quality, output.offset),
+                    (OffsetQuality::Fault, None),
+                    "{output:?}"
+                );
             }
         }
         assert_eq!(outputs, 200, "it says so every millisecond");

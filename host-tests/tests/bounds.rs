@@ -17,7 +17,8 @@ use trueup_store::write_log::WriteKind;
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        firmware::build_for_machine(&setup::project_root().join("data/paper_spindle.toml")).unwrap()
+        firmware::build_image_for_machine(&setup::project_root().join("data/paper_spindle.toml"))
+            .unwrap()
     })
 }
 

@@ -10,14 +10,14 @@
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     cnc::{AxisPosition, Control, LinearAxis, Output, TravelDirection},
     dimensions::CHANNEL_COUNT,
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
     units::Position,
 };
-use trueup_diagnose::{DiagnosisOptions, Report, diagnose, diagnose_with_options};
+use trueup_diagnose::{DiagnosisOptions, DiagnosisReport, diagnose, diagnose_with_options};
 use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, pitch, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
@@ -142,7 +142,7 @@ impl<'a> Loop<'a> {
             self.ms += 1;
             let codes = self.front_end.convert_block(|_| volts);
             let input =
-                Input { codes: Some(&codes), speed: None, temperatures: Some(&temperatures) };
+                TickInput { codes: Some(&codes), speed: None, temperatures: Some(&temperatures) };
             for frame in self.node.tick(1, input) {
                 self.last = self.offsets.accept(&frame).expect("whole").unwrap_or(self.last);
             }
@@ -351,7 +351,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
 }
 
 /// Returns the answer to `records`, and whether the machine file stays as it is.
-fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
+fn answered(believed: &str, records: &[RunFile]) -> (DiagnosisReport, bool) {
     let machine = machine(believed);
     let answer =
         diagnose(&machine, records, &[], None, &mut |_, _| {}).expect("the runs are comparable");

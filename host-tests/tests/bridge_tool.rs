@@ -13,7 +13,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
-use trueup_core::cnc::{CncMessage as CncCommand, Control, Output, Quality};
+use trueup_core::cnc::{CncMessage as CncCommand, Control, OffsetQuality, Output};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::{frames, slcan::Event};
 use trueup_machine::{MachineFile, RunFile, compile};
@@ -44,11 +44,11 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
 fn live_z_um(bridge: &BridgeProcess) -> Result<f64> {
     let mut cnc = CncClient::open(bridge.connect()?)?;
     // The tool has loaded while this CNC was away.
-    cnc.confirm()?;
+    cnc.send_confirmation()?;
     let control = |engage| CncCommand::Control(Control { engage, ..Control::REFERENCED });
     let mut settled = 0;
     let next = |cnc: &mut CncClient<_>, engage| -> Result<Output> {
-        cnc.send(control(engage))?;
+        cnc.send_message(control(engage))?;
         let mut output = cnc.next_output()?;
         for _ in 1..20 {
             output = cnc.next_output()?;
@@ -57,11 +57,11 @@ fn live_z_um(bridge: &BridgeProcess) -> Result<f64> {
     };
     for _ in 0..200 {
         let output = next(&mut cnc, true)?;
-        settled += u32::from(output.quality == Quality::Live && output.flags.0 == 0);
+        settled += u32::from(output.quality == OffsetQuality::Live && output.flags.0 == 0);
         if settled > 10 {
             let z = output.offset.context("available")?[2];
             // Off again, so that it can be loaded.
-            while next(&mut cnc, false)?.quality != Quality::Off {}
+            while next(&mut cnc, false)?.quality != OffsetQuality::Off {}
             return Ok(f64::from(z.0) / 1_000.0);
         }
     }
@@ -144,7 +144,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     // Engaged for a moment: before that it says "not available", and there is nothing to compare.
     let mut cnc = CncClient::open(bridge.connect()?)?;
     for engage in [true, false] {
-        cnc.send(CncCommand::Control(Control { engage, ..Control::REFERENCED }))?;
+        cnc.send_message(CncCommand::Control(Control { engage, ..Control::REFERENCED }))?;
     }
     cnc.query("C")?;
     drop(cnc);

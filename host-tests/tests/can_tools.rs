@@ -22,7 +22,7 @@ use trueup_link::{
         CONDITIONS_ID, CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, OFFSET_Z_ID, POSITION_X_ID,
         POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, STATUS_ID,
     },
-    status::{self, Item},
+    status::{self, StatusItem},
 };
 use trueup_node::test_vectors::XorShift32;
 
@@ -48,7 +48,7 @@ type Values = Vec<(String, Option<f64>)>;
 /// Random bytes, of which those fields that only have a few meanings mostly have one of them, and
 /// those that may be missing sometimes are.
 fn random_frame(random: &mut XorShift32, id: u16) -> Result<Frame> {
-    let words = [random.next(), random.next()].map(u32::to_le_bytes);
+    let words = [random.next_u32(), random.next_u32()].map(u32::to_le_bytes);
     let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
     let is_tame = random.next_below(4) > 0;
     let is_missing = random.next_below(8) == 0;
@@ -87,37 +87,37 @@ fn um(nm: i32) -> f64 {
 }
 
 /// Returns the number and the values of an item of a status frame.
-fn item(item: Item) -> (u8, Values) {
+fn item(item: StatusItem) -> (u8, Values) {
     let number = |n: u16| f64::from(n);
     match item {
-        Item::Temperatures { pair, centi_c } => {
+        StatusItem::Temperatures { pair, centi_c } => {
             let values = (0..).zip(centi_c).map(|(n, centi_c): (u8, _)| {
                 let name = format!("Temperature{}", 2 * pair + n);
                 (name, centi_c.map(|centi_c| f64::from(centi_c) / 100.0))
             });
             (pair, values.collect())
         }
-        Item::Elongation(it) => {
+        StatusItem::Elongation(it) => {
             (4, vec![("Elongation".into(), it.map(|elongation| um(elongation.0)))])
         }
-        Item::Refused { damaged, out_of_sequence } => (
+        StatusItem::Refused { damaged, out_of_sequence } => (
             5,
             vec![one("Damaged", number(damaged)), one("OutOfSequence", number(out_of_sequence))],
         ),
-        Item::Received { malformed, lost } => {
+        StatusItem::Received { malformed, lost } => {
             (6, vec![one("Malformed", number(malformed)), one("Lost", number(lost))])
         }
-        Item::Board { noise_thousandths, faults } => (
+        StatusItem::Board { noise_thousandths, faults } => (
             7,
             vec![one("Noise", number(noise_thousandths) / 1_000.0), one("Faults", number(faults))],
         ),
-        Item::State(bits) => (8, vec![one("StateBits", bits.0.into())]),
-        Item::Reset { reason, free_stack } => (
+        StatusItem::State(bits) => (8, vec![one("StateBits", bits.0.into())]),
+        StatusItem::Reset { reason, free_stack } => (
             9,
             vec![one("ResetReason", f64::from(reason as u8)), one("FreeStack", number(free_stack))],
         ),
-        Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
-        Item::Slope { axis, constant, slope } => {
+        StatusItem::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
+        StatusItem::Slope { axis, constant, slope } => {
             let name = ["X", "Y", "Z"][usize::from(axis)];
             let constant = constant.map(|constant| f64::from(constant) / 10.0);
             let slope = one(&format!("OffsetSlope{name}"), f64::from(slope) / 10.0);
@@ -211,7 +211,8 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             (frames::encode_control(read, counter), values)
         }
         id => {
-            let axis = LinearAxis::ALL.into_iter().find(|axis| frames::position_id(*axis) == id);
+            let axis =
+                LinearAxis::ALL.into_iter().find(|axis| frames::position_frame_id(*axis) == id);
             let axis = axis.expect("no other identifier is drawn");
             let read: AxisPosition = frames::decode_position(axis, frame)?;
             let mm = f64::from(read.position.0) / f64::from(Position::PER_MILLIMETRE);
@@ -291,7 +292,7 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
     while count < FRAMES {
         let which = usize::try_from(random.next_below(u32::try_from(IDS.len())?))?;
         let (id, counter, before, checker) = &mut checkers[which];
-        let words = [random.next(), random.next()].map(u32::to_le_bytes);
+        let words = [random.next_u32(), random.next_u32()].map(u32::to_le_bytes);
         let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
         // Mostly the next; a copy; some lost; far away; out of order; a sender that restarts.
         *counter = match random.next_below(16) {
@@ -316,7 +317,7 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
             _ => Frame::new(*id, &data)?,
         };
         *before = Some(frame);
-        let verdict = match checker.accept(&frame) {
+        let verdict = match checker.check(&frame) {
             Ok(0) => "ok",
             Ok(_) => "some-lost",
             Err(E2eError::Crc { .. }) => "crc",

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use support::{BridgeProcess, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
 use trueup_canopen::{EDS, dictionary::OBJECTS, sdo::AbortCode};
 use trueup_core::{
-    cnc::{Control, Output, Quality},
+    cnc::{Control, OffsetQuality, Output},
     units::Rpm,
 };
 use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, setup};
@@ -205,14 +205,14 @@ impl Bus {
             self.step(None, true)?;
         }
         let last = self.last.context("an offset")?;
-        ensure!(last.quality == Quality::Live, "{last:?}");
+        ensure!(last.quality == OffsetQuality::Live, "{last:?}");
         Ok(f64::from(last.offset.context("available")?[2].0) / 1_000.0)
     }
 }
 
 #[test]
 fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_reported() -> Result<()> {
-    let image = firmware::build_virtual()?;
+    let image = firmware::build_virtual_board_image()?;
     let (old, new) = (compiled(1.0)?, compiled(0.5)?);
     let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);
     let loaded = bus.board.flash_path().with_file_name("loaded.bin");

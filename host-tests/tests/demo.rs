@@ -3,28 +3,29 @@
 
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
-    act_one::{ActOneInput, run_act_one},
-    act_two::run_act_two,
+    act_one::{MeasuredRunInput, run_measured_run_demo},
+    act_two::run_hidden_fault_demo,
     boards::BoardSource,
     page,
-    summary::Summary,
+    summary::DemoSummary,
 };
 use trueup_emulator::{firmware, setup};
 use trueup_machine::{MachineFile, RunFile};
 
 #[test]
 fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings() {
-    let image = firmware::build_virtual().expect("the image builds");
+    let image = firmware::build_virtual_board_image().expect("the image builds");
     let path = setup::project_root().join("data/paper_spindle.toml");
     let source = MachineFile::read_text(&path).expect("the project's own");
     let run = RunFile::read(&setup::project_root().join("data/spindle_paper_table1.csv"))
         .expect("the same");
-    let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
+    let asked = MeasuredRunInput { source: &source, path: &path, run: &run, quantity: None };
     let boards = BoardSource::Emulated(image);
-    let one = run_act_one(&boards, &asked, &mut |_, _| {}).expect("the demonstration runs");
+    let one =
+        run_measured_run_demo(&boards, &asked, &mut |_, _| {}).expect("the demonstration runs");
     println!("{}", one.to_text());
 
-    let summary = Summary::new(&one, None, boards.name(), 0.0);
+    let summary = DemoSummary::new(&one, None, boards.name(), 0.0);
     assert_eq!((summary.board, summary.rows.len(), summary.e2e_errors), ("virtual", 15, 0));
     for row in &one.rows {
         let off = row.bridge_um - row.sensor_um;
@@ -59,12 +60,12 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
 #[test]
 #[ignore = "long: ten shifts of the emulated board, three times each"]
 fn hidden_faults_are_found_on_the_board_as_in_this_process() {
-    let image = firmware::build_virtual().expect("the image builds");
+    let image = firmware::build_virtual_board_image().expect("the image builds");
     let (mut right, mut kept) = (0, 0);
     for seed in 0..10 {
         let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be diagnosed");
         let on = |boards: &BoardSource| {
-            run_act_two(boards, &hidden, &mut |_, _| {}).expect("it runs through").outcome
+            run_hidden_fault_demo(boards, &hidden, &mut |_, _| {}).expect("it runs through").outcome
         };
         let (board, host) =
             (on(&BoardSource::Emulated(image.clone())), on(&BoardSource::InProcess));

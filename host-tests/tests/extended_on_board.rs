@@ -12,7 +12,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_core::{
-    cnc::{Control, Output, Spindle},
+    cnc::{Control, Output, SpindleState},
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
 };
@@ -27,7 +27,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
-use trueup_measured_data::find_file as data;
+use trueup_measured_data::find_measured_file as data;
 use trueup_pipe::Block;
 
 /// The gain may be off its prediction by this share of it.
@@ -86,7 +86,7 @@ fn left_by_the_board(
     row_s: Option<f64>,
 ) -> Vec<f64> {
     let compiled = compile(machine).expect("what was extended compiles");
-    let image = firmware::build_virtual().expect("the image builds");
+    let image = firmware::build_virtual_board_image().expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
     let mut front_end = FrontEnd::new(DIVIDER, 1);
     let (mut stand_in, received) = (CncEmulator::default(), ReceivedFrames::default());
@@ -129,7 +129,7 @@ fn left_by_the_board(
                         frames[4] = Some(frames::encode_control(control, counter));
                     } else if ms % 20 == 10 {
                         let speed = now.speed.unwrap_or_default();
-                        let spindle = Spindle { speed, load_n: load_n.round() as i16 };
+                        let spindle = SpindleState { speed, load_n: load_n.round() as i16 };
                         frames[4] = Some(frames::encode_spindle(spindle, counter));
                         counter = counter.wrapping_add(1);
                     }

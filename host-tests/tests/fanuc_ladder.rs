@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::{Result, ensure};
 use serde_json::{Value, json};
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, LinearAxis, Spindle, TravelDirection},
+    cnc::{AxisPosition, Control, LinearAxis, MachineConditions, SpindleState, TravelDirection},
     units::{Position, Rpm},
 };
 use trueup_emulator::setup;
@@ -62,8 +62,8 @@ fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_
     let expected = CncData {
         control: Control::ENGAGED,
         positions: [Some(x), None, None],
-        spindle: Some(Spindle { speed: Rpm(0), load_n: 0 }),
-        conditions: Some(Conditions { tool: 7, bits: 0x101 }),
+        spindle: Some(SpindleState { speed: Rpm(0), load_n: 0 }),
+        conditions: Some(MachineConditions { tool: 7, bits: 0x101 }),
         ..CncData::default()
     };
     assert_eq!(Checker::default().accept(&registers)?, expected);

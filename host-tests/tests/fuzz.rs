@@ -24,7 +24,7 @@ use trueup_link::{
     e2e,
     frame::Frame,
     frames,
-    receiver::{OffsetReceiver, Receiver, StatusReceiver},
+    receiver::{CncReceiver, OffsetReceiver, StatusReceiver},
     slcan::{Client, Port},
 };
 use trueup_machine::{MachineFile, RunFile, compile};
@@ -272,7 +272,7 @@ fn frames_of(bytes: &[u8]) -> impl Iterator<Item = Frame> {
 #[test]
 fn any_frames_are_received_or_refused_by_the_board() {
     fuzz("board's receiver", &[(0..200).collect()], |bytes| {
-        let mut receiver = Receiver::new();
+        let mut receiver = CncReceiver::new();
         let count = frames_of(bytes).filter(|frame| receiver.accept(frame).is_ok()).count();
         assert!(receiver.counters().accepted as usize <= count);
     });

@@ -21,7 +21,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::Value;
 use support::{Running, trueup};
 use trueup_core::{
-    cnc::{Output, Quality},
+    cnc::{OffsetQuality, Output},
     units::Nanometres,
 };
 use trueup_emulator::setup;
@@ -137,7 +137,7 @@ fn print_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
             let z = i32::try_from(clock % CLOCK_MS).unwrap_or(0) * 10;
             let output = Output {
                 offset: Some([-z, z, z].map(Nanometres)),
-                quality: Quality::Live,
+                quality: OffsetQuality::Live,
                 ..Output::default()
             };
             if port.is_open() {

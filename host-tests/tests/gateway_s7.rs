@@ -16,7 +16,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{BridgeProcess, GROWN_UM, Running, trueup};
-use trueup_core::cnc::Conditions;
+use trueup_core::cnc::MachineConditions;
 use trueup_emulator::setup;
 use trueup_modbus::holding::Checker;
 
@@ -369,7 +369,7 @@ fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_check
         }
         messages.push(checker.accept(&registers)?.conditions);
     }
-    let conditions = |tool, bits| Some(Conditions { tool, bits });
+    let conditions = |tool, bits| Some(MachineConditions { tool, bits });
     assert_eq!(messages, [None, conditions(7, 0x8200), conditions(65_535, 0), None]);
     Ok(())
 }

@@ -6,11 +6,11 @@ mod support;
 use support::bench::{self, Bench};
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
-    cnc::{Control, Output, Quality},
+    cnc::{Control, OffsetQuality, Output},
     learned::{ChangeRequest, PART_COUNT, calibration_id},
 };
 use trueup_learn::LiveUpdate;
-use trueup_machine::{Machine, compile, file::LearnedCaps};
+use trueup_machine::{Machine, compile, file::LearnedChangeLimits};
 
 const GROWN_UM: f64 = 40.0;
 /// The offset without what was learned is known to this much.
@@ -19,7 +19,7 @@ const NOISE_UM: f64 = 0.1;
 const WAY_MS: u32 = 100_000;
 
 /// Returns the paper's spindle with these caps.
-fn paper(learned: LearnedCaps) -> Machine {
+fn paper(learned: LearnedChangeLimits) -> Machine {
     let mut machine = bench::paper();
     machine.limits.learned = learned;
     machine
@@ -56,7 +56,10 @@ impl Lesson {
 }
 
 fn z_um(output: &Output) -> Option<f64> {
-    output.offset.filter(|_| output.quality == Quality::Live).map(|[_, _, z]| f64::from(z.0) / 1e3)
+    output
+        .offset
+        .filter(|_| output.quality == OffsetQuality::Live)
+        .map(|[_, _, z]| f64::from(z.0) / 1e3)
 }
 
 /// Over the last second.
@@ -67,7 +70,11 @@ fn mean(all: &[f64]) -> f64 {
 
 #[test]
 fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_back() {
-    let runs = paper(LearnedCaps { growth_percent: 2.0, zero_um: 1.0, ..LearnedCaps::default() });
+    let runs = paper(LearnedChangeLimits {
+        growth_percent: 2.0,
+        zero_um: 1.0,
+        ..LearnedChangeLimits::default()
+    });
     let mut learned = runs.clone();
     let sensor = learned.spindle.sensor.as_mut().expect("it has one");
     sensor.um_per_count *= 1.01;
@@ -93,7 +100,7 @@ fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_b
 
 #[test]
 fn a_board_whose_calibration_permits_nothing_refuses_reports_and_goes_on_as_before() {
-    let mut lesson = Lesson::boot(&paper(LearnedCaps::default()));
+    let mut lesson = Lesson::boot(&paper(LearnedChangeLimits::default()));
     let before = mean(&lesson.live(2_000, None));
     let after = mean(&lesson.live(10_000, Some([1_000, 0, 0, 0, 500])));
     assert!((after - before).abs() < 0.02, "{after} instead of {before}");

@@ -16,12 +16,12 @@ use trueup_emulator::{
         headless::HeadlessLinuxCnc,
         simulated_joints::{self, AxisIniLines},
     },
-    setup::{self, LinuxCnc},
+    setup::{self, LockedLinuxCnc},
 };
-use trueup_export::{Approach, Export, ExportOptions, Format, export, linuxcnc};
+use trueup_export::{Approach, Export, ExportFormat, ExportOptions, export, linuxcnc};
 use trueup_machine::{
     MachineFile,
-    model::{backlash_um, pitch_um},
+    model::{backlash_um, pitch_error_um},
 };
 
 /// The backlash filter rests after a fraction of this: this many readings are the same.
@@ -70,7 +70,7 @@ fn moves() -> Vec<[f64; 3]> {
 
 /// Runs LinuxCNC with these compensation files; what it adds to each joint at each move, in mm.
 fn run(
-    linuxcnc: LinuxCnc,
+    linuxcnc: LockedLinuxCnc,
     files: &[(String, String)],
     moves: &[[f64; 3]],
 ) -> Result<Vec<[f64; 3]>> {
@@ -82,7 +82,7 @@ fn run(
     let begun = Instant::now();
     let mut added = Vec::with_capacity(moves.len());
     for [x, y, z] in moves {
-        cnc.send_command("mdi", "text", format!("G53 G0 X{x:.6} Y{y:.6} Z{z:.6}"))?;
+        cnc.send_request_with_argument("mdi", "text", format!("G53 G0 X{x:.6} Y{y:.6} Z{z:.6}"))?;
         added.push(settled(&mut cnc)?);
     }
     println!("{} moves in {:.1} s", moves.len(), begun.elapsed().as_secs_f64());
@@ -126,7 +126,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
         return Ok(());
     };
     let machine = MachineFile::parse(&machine_text(), Path::new("three-joints.toml"))?;
-    let export = export(&machine, Format::LinuxCnc, &ExportOptions::default())?;
+    let export = export(&machine, ExportFormat::LinuxCnc, &ExportOptions::default())?;
     println!("{}", export.report);
     assert_eq!(files(&export).len(), 3);
     let lines = |name: usize| export.files[name].text.lines().count();
@@ -146,10 +146,11 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
             let is_up = (1..=top).contains(&index);
             let approach = if is_up { Approach::Positive } else { Approach::Negative };
             let (mm, added_um) = (position[joint], added[joint] * 1000.0);
-            let error_um = axis.pitch.as_ref().map_or(0.0, |p| pitch_um(p, mm, approach.sign()))
-                + axis.backlash.as_ref().map_or(0.0, |b| backlash_um(b, approach.sign()));
+            let error_um =
+                axis.pitch.as_ref().map_or(0.0, |p| pitch_error_um(p, mm, approach.sign()))
+                    + axis.backlash.as_ref().map_or(0.0, |b| backlash_um(b, approach.sign()));
             from_model = from_model.max((added_um + error_um).abs());
-            from_reader = from_reader.max((added_um - back.trim(mm, approach) * 1000.0).abs());
+            from_reader = from_reader.max((added_um - back.trim_at(mm, approach) * 1000.0).abs());
             largest = largest.max(added_um.abs());
         }
         println!(

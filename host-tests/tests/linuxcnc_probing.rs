@@ -77,8 +77,8 @@ impl Cnc {
         };
         let mut headless =
             simulated_joints::start_with_settings(control, settings, &axes, WIRES, &files)?;
-        headless.halcmd(&format!("setp axis.z.eoffset-scale {}", 1e-6 / mm))?;
-        headless.halcmd(&format!("setp axis.z.eoffset-counts {}", OFFSET_MM * 1e6))?;
+        headless.run_halcmd(&format!("setp axis.z.eoffset-scale {}", 1e-6 / mm))?;
+        headless.run_halcmd(&format!("setp axis.z.eoffset-counts {}", OFFSET_MM * 1e6))?;
         headless.wait_for_pins("the offset", 20, &["axis.z.eoffset"], |seen| {
             (seen[0] * mm - OFFSET_MM).abs() < 1e-6
         })?;
@@ -89,11 +89,11 @@ impl Cnc {
 
     /// Puts the surface at this height.
     fn surface(&mut self, mm: f64) -> Result<()> {
-        self.headless.halcmd(&format!("setp touch.in1 {}", mm / self.mm)).map(drop)
+        self.headless.run_halcmd(&format!("setp touch.in1 {}", mm / self.mm)).map(drop)
     }
 
     fn mdi(&mut self, text: &str) -> Result<()> {
-        self.headless.send_command("mdi", "text", text).map(drop)
+        self.headless.send_request_with_argument("mdi", "text", text).map(drop)
     }
 
     /// Metric, no offset of any kind, Z 10 mm above the surface.
@@ -118,7 +118,7 @@ impl Cnc {
     /// Runs these lines, with the lowest position and the fastest way down in mm and mm/s; an error of LinuxCNC is one.
     fn run(&mut self, lines: &str) -> Result<[f64; 2]> {
         for name in ["lowest", "fastest"] {
-            self.headless.halcmd(&format!("setp {name}.reset 1"))?;
+            self.headless.run_halcmd(&format!("setp {name}.reset 1"))?;
         }
         // A servo thread that comes late would never see a reset that is withdrawn at once, and the way to the
         // start would count as the job's.
@@ -127,17 +127,17 @@ impl Cnc {
             seen[0] == seen[1] && seen[2] == seen[3]
         })?;
         for name in ["lowest", "fastest"] {
-            self.headless.halcmd(&format!("setp {name}.reset 0"))?;
+            self.headless.run_halcmd(&format!("setp {name}.reset 0"))?;
         }
         fs::write(self.headless.folder().join("job.ngc"), format!("{lines}\nM2\n"))?;
         self.stat()?;
         self.headless.start_program("job.ngc")?;
-        while self.headless.is_busy()? {
+        while self.headless.is_program_running()? {
             std::thread::sleep(std::time::Duration::from_millis(50));
         }
         // An error may stand behind a message.
         for _ in 0..5 {
-            self.headless.is_busy()?;
+            self.headless.is_program_running()?;
         }
         let seen = self.headless.read_pins(&["lowest.min", "fastest.min"])?;
         Ok([seen[0] * self.mm, -seen[1] * self.mm])

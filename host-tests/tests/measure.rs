@@ -4,14 +4,14 @@ use std::{collections::BTreeSet, path::Path};
 
 use trueup_emulator::benchmark;
 use trueup_machine::{MachineFile, compile};
-use trueup_node::test_vectors::{FAULT_CYCLE_VECTORS, TestVectorRunner};
+use trueup_node::test_vectors::{TestVectorRunner, VECTORS_PER_FAULT_CYCLE};
 
 #[test]
 fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {
-    let measured = benchmark::run_benchmark(FAULT_CYCLE_VECTORS).unwrap();
+    let measured = benchmark::run_benchmark(VECTORS_PER_FAULT_CYCLE).unwrap();
     println!("{}", measured.table);
     assert!(measured.identical);
-    assert_eq!(measured.json["host_vectors_identical"], FAULT_CYCLE_VECTORS);
+    assert_eq!(measured.json["host_vectors_identical"], VECTORS_PER_FAULT_CYCLE);
     let number = |pointer: &str| measured.json.pointer(pointer).unwrap().as_u64().unwrap();
     // What watches every source, in use or not, costs some seventy of them, the run-out some twenty.
     assert!(number("/tick_instructions/median") <= 1_680);
@@ -35,7 +35,7 @@ fn the_vectors_lead_through_every_quality() {
     let gantry = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/gantry.toml");
     let machine = compile(&MachineFile::read(&gantry).unwrap()).unwrap();
     let mut run = TestVectorRunner::new(machine.calibration(), 1, true);
-    let qualities: BTreeSet<u8> = (0..FAULT_CYCLE_VECTORS)
+    let qualities: BTreeSet<u8> = (0..VECTORS_PER_FAULT_CYCLE)
         .map(|_| {
             run.draw_vector();
             run.receive();

@@ -15,11 +15,11 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use support::FAST_MACHINE;
 use trueup_core::{
-    bridge::Input as Samples,
-    cnc::{Control, Quality},
+    bridge::TickInput as Samples,
+    cnc::{Control, OffsetQuality},
     units::AdcCode,
 };
-use trueup_emulator::plc::{UNIT_ID, encode_frame, read_request_pdu, write_request_pdu};
+use trueup_emulator::plc::{UNIT_ID, encode_rtu_frame, read_request_pdu, write_request_pdu};
 use trueup_gateway::{
     hub::{Hub, MasterId},
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
@@ -210,7 +210,7 @@ impl World<'_> {
         let has_no_plc = matches!(self.cut, Cut::Plc | Cut::Bridge);
         let is_away = has_no_plc && self.now.saturating_sub(self.since) > LOST_MS;
         ensure!(
-            !(is_away && self.node.last_output().quality == Quality::Live),
+            !(is_away && self.node.last_output().quality == OffsetQuality::Live),
             "live, though {:?} was cut {} ms ago",
             self.cut,
             self.now - self.since
@@ -250,7 +250,7 @@ impl World<'_> {
                 let length = (pdu.len() as u16 + 1).to_be_bytes();
                 [&[0, 7, 0, 0][..], &length, &[UNIT_ID], pdu].concat()
             }
-            Path::Board { .. } => encode_frame(UNIT_ID, pdu),
+            Path::Board { .. } => encode_rtu_frame(UNIT_ID, pdu),
         };
         if self.cut == Cut::Plc {
             let goes = self.random.random_range(0..request.len());
@@ -308,8 +308,8 @@ impl World<'_> {
         self.reported.largest_step_nm = self.reported.largest_step_nm.max(step);
         ensure!(step <= SLEW_NM_PER_MS * CYCLE_MS as f64, "a step of {step} nm at {} ms", self.now);
         match self.node.last_output().quality {
-            Quality::Live => self.reported.live += 1,
-            Quality::Hold => self.reported.held += 1,
+            OffsetQuality::Live => self.reported.live += 1,
+            OffsetQuality::Hold => self.reported.held += 1,
             _ => {}
         }
         self.reported.engaged += u32::from(self.plc.is_engaged);
@@ -393,7 +393,7 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
             .all(|(is, applied)| (f64::from(is.0) - applied).abs() < 500.0)
     });
     ensure!(
-        needed.quality == Quality::Live && is_there && world.plc.applied[2].abs() > 1_000.0,
+        needed.quality == OffsetQuality::Live && is_there && world.plc.applied[2].abs() > 1_000.0,
         "not well again: {needed:?}, applied {:?}",
         world.plc.applied
     );

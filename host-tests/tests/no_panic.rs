@@ -45,7 +45,7 @@ fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
 #[test]
 fn a_panic_that_is_there_is_seen() {
     // The benchmark's own `main` has `expect`s.
-    let graph = CallGraph::read(&firmware::build_benchmark().unwrap()).unwrap();
+    let graph = CallGraph::read(&firmware::build_benchmark_image().unwrap()).unwrap();
     let reached = graph.reachable_from("__cortex_m_rt_main").unwrap();
     assert!(reached.names.iter().any(|name| name.contains("panic")), "{:?}", reached.names);
 }

@@ -6,22 +6,22 @@ use std::{fmt::Write as _, fs, path::Path, process::Command};
 use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
 use trueup_campaigns::{faulty_machine::SeparableFaultMachine, run_table::parse_run};
 use trueup_demo::{
-    act_one::{ActOneInput, run_act_one},
-    act_two::run_act_two,
+    act_one::{MeasuredRunInput, run_measured_run_demo},
+    act_two::run_hidden_fault_demo,
     boards::BoardSource,
     page,
-    summary::Summary,
+    summary::DemoSummary,
 };
 use trueup_diagnose::diagnose;
 use trueup_emulator::{
     linuxcnc::{
         self,
-        figures::{AcceptanceCheck, ErrorCurve, ErrorCurves, Figures, StaircaseStep},
+        figures::{AcceptanceCheck, ErrorCurve, ErrorCurves, LoopFigures, StaircaseStep},
     },
     process, setup,
 };
 use trueup_fleet::{
-    constants::{Constant, NamedFinding},
+    constants::{EstimatedConstant, NamedFinding},
     pool::Estimate,
     record::MachineRecord,
 };
@@ -91,13 +91,15 @@ fn demonstration() -> String {
     let source = MachineFile::read_text(&path).expect("the project's own");
     let run = RunFile::read(&setup::project_root().join("data/spindle_paper_table1.csv"))
         .expect("the same");
-    let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
-    let one = run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs");
+    let asked = MeasuredRunInput { source: &source, path: &path, run: &run, quantity: None };
+    let one =
+        run_measured_run_demo(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs");
     let hidden = SeparableFaultMachine::draw(7).expect("a machine that can be diagnosed");
-    let two = run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
+    let two =
+        run_hidden_fault_demo(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
     let html = page::render_page(&one, Some(&two));
     // What the page says is what the JSON says.
-    let summary = Summary::new(&one, Some(&two.outcome), "host", 0.0);
+    let summary = DemoSummary::new(&one, Some(&two.outcome), "host", 0.0);
     let json = serde_json::to_value(&summary).expect("JSON");
     for um in [
         &json["paper"]["rms_um"],
@@ -122,7 +124,7 @@ fn diagnosis() -> String {
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
     diagnosis.render_html(
         "an axis",
-        &trueup_page::Origin::default(),
+        &trueup_page::Provenance::default(),
         &["trueup compile m.toml -o m.bin".into()],
     )
 }
@@ -146,7 +148,7 @@ fn acceptance() -> String {
         Some((file, &machine)),
         AcceptanceCriteria::default(),
     );
-    it.expect("comparable").render_html("a spindle", &trueup_page::Origin::default(), &[])
+    it.expect("comparable").render_html("a spindle", &trueup_page::Provenance::default(), &[])
 }
 
 fn circle() -> String {
@@ -154,7 +156,7 @@ fn circle() -> String {
     let machine = MachineFile::read(&folder.join("mill.toml")).expect("the project's own");
     let run = |way| RunFile::read(&folder.join(format!("circle-{way}.csv"))).expect("the same");
     let report = trueup_fit::circle::fit_circles(&["ccw", "cw"].map(run), Some(&machine));
-    trueup_fit::circle::build_page(&report.expect("a circle"), &trueup_page::Origin::default())
+    trueup_fit::circle::build_page(&report.expect("a circle"), &trueup_page::Provenance::default())
         .to_html()
 }
 
@@ -162,7 +164,7 @@ fn fleet() -> String {
     let record = |number: u8| {
         let value = if number == 7 { 19.0 } else { 7.0 + 0.5 * f64::from(number % 3) };
         let estimate = Estimate { value, se: 0.4 };
-        let constant = Constant { parameter: "offset_um".into(), estimate };
+        let constant = EstimatedConstant { parameter: "offset_um".into(), estimate };
         let found = NamedFinding {
             name: "elongation sensor-offset".into(),
             identity: None,
@@ -183,7 +185,7 @@ fn fleet() -> String {
     };
     let records: Vec<MachineRecord> = (1..=12).map(record).collect();
     let series = trueup_fleet::series::evaluate_series(&records, vec!["a note".into()]);
-    trueup_fleet::html_page::render_html(&series, "shop", &trueup_page::Origin::default())
+    trueup_fleet::html_page::render_html(&series, "shop", &trueup_page::Provenance::default())
 }
 
 /// Returns how many sheets of paper a page takes.
@@ -235,7 +237,7 @@ fn loop_with_linuxcnc() -> String {
         at_least: true,
     };
     let missed = AcceptanceCheck { name: "a figure that is missed", value: 12.0, ..check.clone() };
-    linuxcnc::page::render_page(&Figures {
+    linuxcnc::page::render_page(&LoopFigures {
         checks: vec![check, missed],
         stairs: vec![StaircaseStep {
             z_mm: -1250.0,
@@ -251,7 +253,7 @@ fn loop_with_linuxcnc() -> String {
         },
         machine_file: "[machine]\nname = \"a gantry with a very long line in its file\"\n"
             .repeat(30),
-        ..Figures::default()
+        ..LoopFigures::default()
     })
 }
 

@@ -15,11 +15,11 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, TIMEOUT, file, wait_until_stuck};
-use trueup_core::cnc::{CncMessage as CncCommand, Control, Flags, Quality};
+use trueup_core::cnc::{CncMessage as CncCommand, Control, OffsetFlags, OffsetQuality};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::e2e;
 
-const CNC_LOST: u8 = Flags::CNC_LOST.0;
+const CNC_LOST: u8 = OffsetFlags::CNC_LOST.0;
 /// Noise after the filter, the rounding of a code and of the wire.
 const TOLERANCE_UM: f64 = 0.3;
 
@@ -260,7 +260,7 @@ fn a_client_that_leaves_in_mid_line_leaves_no_half_line_to_the_next() -> Result<
     for _ in 0..10 {
         let mut cnc = CncClient::open(bridge.connect()?)?;
         assert_eq!(cnc.query("V")?, "V1013");
-        assert_eq!(cnc.next_output()?.quality, Quality::Fault, "nobody has engaged it");
+        assert_eq!(cnc.next_output()?.quality, OffsetQuality::Fault, "nobody has engaged it");
         cnc.write(b"t302")?;
     }
     Ok(())
@@ -330,7 +330,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
     // Longer than the spindle was at the start, then shorter: the offset goes up, then down.
     for counts in [9_164.0, 4_000.0] {
         for _ in 0..20 {
-            cnc.send(engage)?;
+            cnc.send_message(engage)?;
             for _ in 0..4 {
                 last = plant.step(STEP_MS, volts(counts))?;
             }
@@ -347,7 +347,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
         output = cnc.next_output()?;
     }
     assert!(started.elapsed() < TIMEOUT);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
     let [_, _, z] = output.offset.context("available")?;
     assert_eq!(json!(f64::from(z.0) / 1_000.0), last["offset_um"][2]);
 

@@ -9,11 +9,11 @@ use std::{
 
 use anyhow::{Result, bail, ensure};
 use trueup_boot::flash_layout::HANDOVER_START;
-use trueup_core::cnc::{Flags, Output, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality, Output};
 use trueup_emulator::{
     firmware::{self, Board},
     qemu::Qemu,
-    rtt::{MONITOR_ARGUMENTS, QemuMonitor},
+    rtt::{QEMU_MONITOR_ARGUMENTS, QemuMonitor},
     setup,
 };
 use trueup_link::{
@@ -28,7 +28,7 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
     setup::ensure_qemu()?;
     let started = Instant::now();
     let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
-    let mut qemu = Qemu::start(&image, &[serial, MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
+    let mut qemu = Qemu::start(&image, &[serial, QEMU_MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
     let mut stream = qemu.connect("serial.sock")?;
     stream.set_read_timeout(Some(Duration::from_millis(20)))?;
     let (mut client, mut offsets) = (Client::new(), OffsetReceiver::new());
@@ -48,7 +48,7 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
             if let Some(Event::Frame(frame)) = client.receive(byte)
                 && let Some(output) = offsets.accept(&frame)?
                 // The first cycles come before the missing samples count as missing.
-                && output.quality == Quality::Fault
+                && output.quality == OffsetQuality::Fault
             {
                 break 'wait output;
             }
@@ -79,9 +79,9 @@ fn it_boots_with_everything_dead_reports_it_and_sends_not_available() {
     println!("not available {} ms after QEMU was started; the log:", took.as_millis());
     log.iter().for_each(|line| println!("  {line}"));
 
-    assert_eq!((output.offset, output.quality), (None, Quality::Fault));
+    assert_eq!((output.offset, output.quality), (None, OffsetQuality::Fault));
     assert_eq!(output.age_ms, 255);
-    assert!(output.flags.contains(Flags::SAMPLES_MISSING.with(Flags::BOARD_DEGRADED)));
+    assert!(output.flags.contains(OffsetFlags::SAMPLES_MISSING.with(OffsetFlags::BOARD_DEGRADED)));
     assert!(took < Duration::from_secs(1), "{took:?}");
     let dead = [
         "crystal",

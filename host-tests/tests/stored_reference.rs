@@ -8,7 +8,7 @@ use std::fs;
 
 use support::bench::{Bench, paper};
 use trueup_canopen::emergency::Fault;
-use trueup_core::cnc::{Control, Output, Quality};
+use trueup_core::cnc::{Control, OffsetQuality, Output};
 use trueup_machine::{CompiledCalibration, compile};
 use trueup_store::reference::RECORD_SIZE;
 
@@ -29,7 +29,7 @@ fn z_um(output: &Output) -> f64 {
 
 fn last_z_um(outputs: &[Output]) -> f64 {
     let last = outputs.last().expect("an offset a millisecond");
-    assert_eq!(last.quality, Quality::Live);
+    assert_eq!(last.quality, OffsetQuality::Live);
     z_um(last)
 }
 
@@ -76,7 +76,9 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
     println!("{}", bench.logged("of other calibrations, not used: 1"));
     let inhibited = bench.live(800, 40.0, |_| ON);
     assert!(
-        inhibited.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+        inhibited
+            .iter()
+            .all(|output| output.quality == OffsetQuality::Fault && output.offset.is_none())
     );
     assert!(bench.faults.contains(&Fault::CalibrationChanged), "{:?}", bench.faults);
     bench.live(800, 40.0, confirming);
@@ -91,14 +93,16 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
     println!("{}", bench.logged("reference 2 offered"));
     let inhibited = bench.live(800, 30.0, |_| ON);
     assert!(
-        inhibited.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+        inhibited
+            .iter()
+            .all(|output| output.quality == OffsetQuality::Fault && output.offset.is_none())
     );
     assert!(bench.faults.contains(&Fault::ReferenceOffered), "{:?}", bench.faults);
     // Nor after the next start.
     let mut bench = bench.restart(&ours);
     assert_eq!(
         bench.live(400, 30.0, |_| ON).last().map(|output| output.quality),
-        Some(Quality::Fault)
+        Some(OffsetQuality::Fault)
     );
     bench.live(800, 30.0, confirming);
     assert!((last_z_um(&bench.live(800, 30.0, |_| ON)) + 10.0).abs() < 0.1);

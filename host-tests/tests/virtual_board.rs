@@ -4,8 +4,8 @@
 use std::time::Instant;
 
 use trueup_core::{
-    bridge::Input,
-    cnc::{CncMessage, Control, Quality, Spindle},
+    bridge::TickInput,
+    cnc::{CncMessage, Control, OffsetQuality, SpindleState},
     units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_emulator::{
@@ -36,7 +36,7 @@ fn compiled() -> CompiledCalibration {
 }
 
 fn boot() -> VirtualBoard {
-    let image = firmware::build_virtual().expect("the image builds");
+    let image = firmware::build_virtual_board_image().expect("the image builds");
     VirtualBoard::boot(&image, compiled().blob()).expect("the board boots")
 }
 
@@ -81,8 +81,10 @@ fn eventful_life(ms: u32) -> Vec<Block> {
             }
             if n % 20 == 13 && chance.is_multiple_of(3) {
                 let speed = Rpm((chance % 24_000) as u16);
-                sent[1] =
-                    Some(frames::encode_spindle(Spindle { speed, load_n: -5 }, (n / 20) as u8));
+                sent[1] = Some(frames::encode_spindle(
+                    SpindleState { speed, load_n: -5 },
+                    (n / 20) as u8,
+                ));
             }
             let speed = (n > 100).then_some(Rpm(12_000));
             Block { codes, speed, frames: sent, ..Block::default() }
@@ -107,7 +109,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
             // What is refused is part of this life.
             node.receive(Interface::Can, frame).ok();
         }
-        let input = Input {
+        let input = TickInput {
             codes: Some(&block.codes),
             speed: block.speed,
             temperatures: Some(&block.temperatures),
@@ -136,8 +138,13 @@ fn board_and_host_send_the_same_frames_to_the_bit_through_an_eventful_life() {
     let mut seen = [0; 7];
     outputs.for_each(|output| seen[output.quality as usize] += 1);
     println!("{} frames the same; ticks by quality: {seen:?}", board.len());
-    for quality in [Quality::Off, Quality::Live, Quality::Hold, Quality::RampingOut, Quality::Fault]
-    {
+    for quality in [
+        OffsetQuality::Off,
+        OffsetQuality::Live,
+        OffsetQuality::Hold,
+        OffsetQuality::RampingOut,
+        OffsetQuality::Fault,
+    ] {
         assert!(seen[quality as usize] > 0, "never {quality:?}");
     }
 }
@@ -157,7 +164,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
         CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
     for _ in 0..20 {
         let control = Control::ENGAGED;
-        cnc.send(CncMessage::Control(control)).expect("accepted");
+        cnc.send_message(CncMessage::Control(control)).expect("accepted");
         let blocks: Vec<Block> = (0..20)
             .map(|_| Block {
                 codes: front_end.convert_block(|_| SETTLED_VOLTS),
@@ -173,7 +180,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
                 let [x, y, z] = output.offset.expect("available");
                 assert_eq!((x.0, y.0), (0, 0));
                 assert!(
-                    output.quality != Quality::Live || (z.0 - 62_805).abs() < 100,
+                    output.quality != OffsetQuality::Live || (z.0 - 62_805).abs() < 100,
                     "{output:?}"
                 );
             }

@@ -25,7 +25,7 @@ use trueup_emulator::setup;
 use trueup_machine::{
     Machine, MachineFile,
     compile::compile,
-    file::Angle,
+    file::AngleProfile,
     model::{ReferenceModel, RowInputs, volumetric_error_um},
 };
 use trueup_twin::{
@@ -416,7 +416,7 @@ fn bodies(machine: &Machine) -> Vec<Body> {
                 motion.along == *axis && motion.about.index() == about
             };
             let angle = &volume.angular.iter().find(of).expect("all nine are drawn").angle;
-            let Angle::Line(urad_per_m) = angle else { panic!("a curve") };
+            let AngleProfile::Line(urad_per_m) = angle else { panic!("a curve") };
             let points = [-600.0, 600.0].map(|mm| [mm, urad_per_m * mm / 1000.0]);
             CubicSpline::from_points(points.to_vec()).expect("they rise")
         };
@@ -448,8 +448,8 @@ fn the_virtual_machine_errs_as_the_model_of_it_says() {
     for number in 0..KINDS.len() * 4 {
         let (mut machine, request) = drawn(&mut random, number);
         for angular in &mut machine.volume.angular {
-            if matches!(angular.angle, Angle::Curve(_)) {
-                angular.angle = Angle::Line(random.random_range(-20.0..20.0));
+            if matches!(angular.angle, AngleProfile::Curve(_)) {
+                angular.angle = AngleProfile::Line(random.random_range(-20.0..20.0));
             }
         }
         let bodies = bodies(&machine);

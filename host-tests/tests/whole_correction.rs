@@ -4,8 +4,11 @@
 use std::path::Path;
 
 use trueup_core::{
-    bridge::Input,
-    cnc::{AxisPosition, Control, Flags, LinearAxis, Output, Quality, Rotary, TravelDirection},
+    bridge::TickInput,
+    cnc::{
+        AxisPosition, Control, LinearAxis, OffsetFlags, OffsetQuality, Output, RotaryAxisAngles,
+        TravelDirection,
+    },
     thermometer::RawReading,
     units::{AdcCode, MicroDegrees, MicroOhms, Nanometres, Position, Rpm, Temperature},
 };
@@ -27,7 +30,7 @@ fn machine(text: &str) -> Machine {
 }
 
 fn boot(compiled: &CompiledCalibration) -> VirtualBoard {
-    let image = firmware::build_virtual().expect("the image builds");
+    let image = firmware::build_virtual_board_image().expect("the image builds");
     VirtualBoard::boot(&image, compiled.blob()).expect("the board boots")
 }
 
@@ -64,7 +67,7 @@ impl Sender {
                 sent[n] = Some(frames::encode_position(command, next(n)));
             }
             let angles = at.degrees.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
-            sent[3] = Some(frames::encode_rotary(Rotary { angles }, next(3)));
+            sent[3] = Some(frames::encode_rotary(RotaryAxisAngles { angles }, next(3)));
         }
         if self.ms.is_multiple_of(20) {
             let control = Control { engage: self.ms >= 60, ..Control::REFERENCED };
@@ -110,7 +113,10 @@ fn the_papers_line_and_worked_axis_run_on_the_board_in_sixteenths_of_a_kelvin() 
             .map(|_| Block { temperatures, frames: sender.frames(&at), ..Block::default() })
             .collect();
         let last = live(&mut board, &mut offsets, &blocks).pop().expect("an output a millisecond");
-        assert_eq!((last.quality, last.flags.0 & !Flags::SPEED_UNKNOWN.0), (Quality::Live, 0));
+        assert_eq!(
+            (last.quality, last.flags.0 & !OffsetFlags::SPEED_UNKNOWN.0),
+            (OffsetQuality::Live, 0)
+        );
         if !is_judged {
             continue;
         }
@@ -182,10 +188,10 @@ fn the_two_hours_of_paper_0_at_24000_rpm() {
                 node.receive(Interface::Can, frame).expect("whole frames");
             }
             let codes = Some(&block.codes);
-            node.tick(1, Input { codes, speed: block.speed, temperatures: None });
+            node.tick(1, TickInput { codes, speed: block.speed, temperatures: None });
         }
         if (second + 1) % 1_800 == 0 {
-            assert_eq!(last.quality, Quality::Live);
+            assert_eq!(last.quality, OffsetQuality::Live);
             let z = |output: &Output| f64::from(output.offset.expect("available")[2].0) / 1_000.0;
             let hours = f64::from(second + 1) / 3_600.0;
             rows.push((hours, growth_um(hours), z(&last), z(node.last_output())));
@@ -225,7 +231,7 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
             node.receive(Interface::Can, frame).expect("whole frames");
         }
         let temperatures = Some(&block.temperatures);
-        node.tick(1, Input { codes: None, speed: None, temperatures });
+        node.tick(1, TickInput { codes: None, speed: None, temperatures });
     }
     // Error (0, +0.250, −0.433) mm, offset its opposite.
     let expected = [Nanometres(0), Nanometres(-250_000), Nanometres(433_013)];
@@ -234,7 +240,7 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
     let sent = live(&mut board, &mut OffsetReceiver::new(), &blocks).pop().expect("outputs");
     // The wire carries 10 nm.
     let on_the_wire = [Nanometres(0), Nanometres(-250_000), Nanometres(433_010)];
-    assert_eq!((sent.offset, sent.quality), (Some(on_the_wire), Quality::Live));
+    assert_eq!((sent.offset, sent.quality), (Some(on_the_wire), OffsetQuality::Live));
 }
 
 #[test]
@@ -299,7 +305,10 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
             let sum: f64 = settled
                 .iter()
                 .map(|output| {
-                    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+                    assert_eq!(
+                        (output.quality, output.flags),
+                        (OffsetQuality::Live, OffsetFlags::NONE)
+                    );
                     f64::from(output.offset.expect("available")[axis].0)
                 })
                 .sum();

@@ -25,7 +25,7 @@ use stm32f4xx_hal as _;
 use trueup_core::{
     axis_errors::CachedErrors,
     calibration::Calibration,
-    cnc::{Flags, LinearAxis, Output, Quality},
+    cnc::{LinearAxis, OffsetFlags, OffsetQuality, Output},
     curve::Curve,
     dimensions::CODES_PER_TICK,
     filter::Filter,
@@ -61,7 +61,7 @@ fn main() -> ! {
     static mut BY_TOOL: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
     static mut CURVES: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
     static mut COSTS: [u16; POSITION_COUNT] = [0; POSITION_COUNT];
-    start_clock();
+    start_instruction_counter();
     let calibration = decode(read_file(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
     let by_tool = decode(read_file(c"by_tool.bin", BY_TOOL)).expect("by_tool.bin");
     let curves = decode(read_file(c"curves.bin", CURVES)).expect("curves.bin");
@@ -104,14 +104,14 @@ fn read_file<'b>(name: &core::ffi::CStr, buffer: &'b mut [u8]) -> &'b [u8] {
 const TIM2_BASE: usize = 0x4000_0000;
 
 #[allow(unsafe_code, reason = "a register of the timer")]
-fn start_clock() {
+fn start_instruction_counter() {
     // SAFETY: CR1 of TIM2, of which this program is the only user; 1 enables it.
     unsafe { (TIM2_BASE as *mut u32).write_volatile(1) }
 }
 
 #[inline(always)]
 #[allow(unsafe_code, reason = "a register of the timer")]
-fn read_clock() -> u32 {
+fn read_instruction_counter() -> u32 {
     // SAFETY: CNT of TIM2; reading it changes nothing.
     unsafe { ((TIM2_BASE + 0x24) as *const u32).read_volatile() }
 }
@@ -120,9 +120,9 @@ fn read_clock() -> u32 {
 #[inline(never)]
 fn raw_call_cost(work: &mut dyn FnMut()) -> u16 {
     let work = black_box(work);
-    let start = read_clock();
+    let start = read_instruction_counter();
     work();
-    let end = read_clock();
+    let end = read_instruction_counter();
     end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
 }
 
@@ -166,7 +166,7 @@ fn measure_tick(
             black_box(&run.tick());
         });
         *both = *hear + *tick;
-        live += u32::from(run.node().last_output().quality == Quality::Live);
+        live += u32::from(run.node().last_output().quality == OffsetQuality::Live);
     }
     let [of_tick, of_hear, of_both, of_live] = names;
     write_costs(text, of_tick, ticks);
@@ -176,7 +176,7 @@ fn measure_tick(
 }
 
 /// Measures a part of the tick: its name, and one turn of it.
-type MeasurePart<'p> = dyn FnMut(&str, &mut dyn FnMut(&mut XorShift32) -> u16) + 'p;
+type PartMeasurer<'p> = dyn FnMut(&str, &mut dyn FnMut(&mut XorShift32) -> u16) + 'p;
 
 fn random_position(random: &mut XorShift32) -> [Position; 3] {
     [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.next_below(reach) as i32))
@@ -213,8 +213,9 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
     });
     part("frames", &mut |random| {
         let offset = Some([(); 3].map(|()| Nanometres(random.next_symmetric(400_000))));
-        let output = Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 };
-        let counter = random.next() as u8;
+        let output =
+            Output { offset, quality: OffsetQuality::Live, flags: OffsetFlags::NONE, age_ms: 1 };
+        let counter = random.next_u32() as u8;
         net_call_cost(&mut || {
             black_box(&[
                 frames::encode_offset_xy(&output, counter),
@@ -225,17 +226,17 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
 }
 
 /// Measures from the samples to the elongation.
-fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
+fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>) {
     let mut health = SensorHealth::default();
     part("health", &mut |random| {
         let codes: [AdcCode; CODES_PER_TICK] =
-            core::array::from_fn(|_| AdcCode(700 + (random.next() & 7) as u16));
+            core::array::from_fn(|_| AdcCode(700 + (random.next_u32() & 7) as u16));
         net_call_cost(&mut || {
             black_box(&health.check(&codes, true));
         })
     });
     part("window", &mut |random| {
-        let speed = Some(Rpm(random.next() as u16));
+        let speed = Some(Rpm(random.next_u32() as u16));
         net_call_cost(&mut || {
             black_box(&RevolutionWindow::for_speed(speed));
         })
@@ -246,7 +247,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_
     }
     part("filter", &mut |random| {
         let codes: [AdcCode; CODES_PER_TICK] =
-            core::array::from_fn(|_| AdcCode(700 + (random.next() & 7) as u16));
+            core::array::from_fn(|_| AdcCode(700 + (random.next_u32() & 7) as u16));
         net_call_cost(&mut || {
             black_box(filter.tick(&codes, Some(Rpm(18_000))));
         })
@@ -261,7 +262,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_
 }
 
 /// Measures the errors of the axes.
-fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
+fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>) {
     part("thermal", &mut |random| {
         let places = random_position(random);
         let gradients = [(); 3].map(|()| Gradient(random.next_symmetric(20_000_000)));
@@ -292,7 +293,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>)
     part("pitch3", &mut |random| {
         let [x, y, _] = random_position(random);
         let places = [x, x, y];
-        let blend = Fraction(random.next() >> 1);
+        let blend = Fraction(random.next_u32() >> 1);
         net_call_cost(&mut || {
             let mut sum = FineNanometres::ZERO;
             for (table, at) in tables.iter().zip(&places) {
@@ -303,7 +304,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>)
     });
     let heat = MachineThermalState::default();
     let mut at = MachinePosition::default();
-    let mut cached = CachedErrors::from_place(calibration, &heat, &at);
+    let mut cached = CachedErrors::from_position(calibration, &heat, &at);
     part("moved", &mut |random| {
         at.position = random_position(random);
         let axis = LinearAxis::ALL[random.next_below(3) as usize];
@@ -338,11 +339,11 @@ fn with_volumetric_errors<'c>(calibration: &Calibration<'c>) -> Calibration<'c> 
 }
 
 /// Measures the same with a volume.
-fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
+fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>) {
     let calibration = with_volumetric_errors(calibration);
     let heat = MachineThermalState::default();
     let mut at = MachinePosition::default();
-    let mut cached = CachedErrors::from_place(&calibration, &heat, &at);
+    let mut cached = CachedErrors::from_position(&calibration, &heat, &at);
     part("moved_volume", &mut |random| {
         at.position = random_position(random);
         let axis = LinearAxis::ALL[random.next_below(3) as usize];
@@ -362,9 +363,9 @@ type Lookup<T> = fn(Position, &T) -> i32;
 #[inline(never)]
 fn lookup_cost<T>(lookup: Lookup<T>, at: Position, of: &T) -> u16 {
     let lookup = black_box(lookup);
-    let start = read_clock();
+    let start = read_instruction_counter();
     let value = lookup(at, of);
-    let end = read_clock();
+    let end = read_instruction_counter();
     black_box(value);
     end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
 }

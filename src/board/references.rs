@@ -4,7 +4,7 @@
 //! A store that fails costs the reference of the next start, never an offset of this one.
 
 use embedded_storage::nor_flash::NorFlash;
-use trueup_core::{bridge::Reference, supply::SupplyLevel};
+use trueup_core::{bridge::ReferenceErrors, supply::InternalReferenceLevel};
 use trueup_store::{
     reference::{ReferenceStatus, ReferenceStore, ScanResult},
     write_log::WriteRecord,
@@ -25,7 +25,9 @@ pub fn open<F: NorFlash>(
         Some((number, ReferenceStatus { reference, is_offered: true, .. })) => {
             log_reference(number, &reference, defmt::intern!("offered"));
         }
-        Some((number, ReferenceStatus { reference, .. })) if reference != Reference::default() => {
+        Some((number, ReferenceStatus { reference, .. }))
+            if reference != ReferenceErrors::default() =>
+        {
             log_reference(number, &reference, defmt::intern!("taken up"));
         }
         _ => defmt::info!("no reference is stored for this calibration"),
@@ -52,7 +54,7 @@ pub fn open<F: NorFlash>(
 #[derive(Clone, Copy, Default)]
 pub struct StoredState {
     /// Standing of the calibration's reference, and the level of the supply that it counts from.
-    pub standing: Option<(ReferenceStatus, SupplyLevel)>,
+    pub standing: Option<(ReferenceStatus, InternalReferenceLevel)>,
     /// The write that has taken the reference.
     pub taken: Option<WriteRecord>,
     /// The machine that the board belongs to, as `trueup_store::writes::machine_identity_crc` has it.
@@ -63,9 +65,9 @@ pub struct StoredState {
 pub fn store_reference_status<F: NorFlash>(
     references: &mut ReferenceStore<F>,
     standing: ReferenceStatus,
-    supply: SupplyLevel,
+    supply: InternalReferenceLevel,
 ) -> bool {
-    references.set_supply(supply);
+    references.set_supply_basis(supply);
     match references.append(standing) {
         Ok(number) => {
             let (offered, stored) = (defmt::intern!("offered"), defmt::intern!("stored"));
@@ -100,7 +102,7 @@ pub fn store_write_record<F: NorFlash>(
 }
 
 /// `what` is a number in the image: a text would be sent letter by letter, with interrupts off.
-fn log_reference(number: u32, reference: &Reference, what: defmt::Str) {
+fn log_reference(number: u32, reference: &ReferenceErrors, what: defmt::Str) {
     let [x, y, z] = reference.axes.map(|axis| axis.rounded().0);
     defmt::info!(
         "reference {=u32} {=istr}: elongation {=i32} nm, X {=i32}, Y {=i32}, Z {=i32} nm",

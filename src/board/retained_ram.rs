@@ -2,7 +2,7 @@
 
 use core::{mem::MaybeUninit, ptr::addr_of_mut};
 
-use trueup_store::retained::{COPY_SIZE, RetainedCopies};
+use trueup_store::retained::{RETAINED_COPY_SIZE, RetainedCopies};
 
 /// Its bytes are whatever they were; any are valid ones, and their CRC says which mean something.
 #[unsafe(link_section = ".uninit.RETAINED")]
@@ -15,7 +15,7 @@ pub fn take_retained_copies() -> &'static mut RetainedCopies {
     let once: &'static mut () = cortex_m::singleton!(: () = ()).expect("the board starts once");
     let () = *once;
     let place = addr_of_mut!(RETAINED_COPIES).cast::<u8>();
-    for at in 0..2 * COPY_SIZE {
+    for at in 0..2 * RETAINED_COPY_SIZE {
         // SAFETY: within the static, which no other code has. Volatile, so that the bytes count as
         // written: what stood there is read, as hardware has it, and put back.
         unsafe { place.add(at).write_volatile(place.add(at).read_volatile()) };

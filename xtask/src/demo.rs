@@ -11,11 +11,11 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
-    act_one::{ActOneInput, run_act_one},
-    act_two::run_act_two,
+    act_one::{MeasuredRunInput, run_measured_run_demo},
+    act_two::run_hidden_fault_demo,
     boards::BoardSource,
     page,
-    summary::Summary,
+    summary::DemoSummary,
 };
 use trueup_emulator::{firmware, setup};
 use trueup_machine::{MachineFile, RunFile};
@@ -40,7 +40,7 @@ pub(crate) struct DemoArgs {
 
 /// Runs the demonstration, and writes its page and figures.
 pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
-    let image = firmware::build_virtual()?;
+    let image = firmware::build_virtual_board_image()?;
     let started = Instant::now();
     let root = setup::project_root();
     let or = |path: &Option<PathBuf>, own: &str| path.clone().unwrap_or_else(|| root.join(own));
@@ -51,40 +51,43 @@ pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
     let boards = BoardSource::Emulated(image);
 
     let bar = progress_bar()?;
-    let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
-    let one = run_act_one(&boards, &asked, &mut |what, share| show_progress(&bar, what, share))?;
+    let asked = MeasuredRunInput { source: &source, path: &path, run: &run, quantity: None };
+    let one = run_measured_run_demo(&boards, &asked, &mut |what, share| {
+        show_progress(&bar, what, share)
+    })?;
     bar.finish_and_clear();
-    trueup_output::write_line(one.to_text());
+    trueup_output::write_line_best_effort(one.to_text());
 
     // One's own data are played alone, unless a seed is requested.
     let seed = options.seed.or_else(|| options.machine.is_none().then(random_seed));
     let two = match seed {
         None => None,
         Some(seed) => {
-            trueup_output::write_line(format_args!(
+            trueup_output::write_line_best_effort(format_args!(
                 "A machine is drawn and broken by seed {seed}."
             ));
             let bar = progress_bar()?;
             let hidden = SeparableFaultMachine::draw(seed)?;
-            let two =
-                run_act_two(&boards, &hidden, &mut |what, share| show_progress(&bar, what, share))?;
+            let two = run_hidden_fault_demo(&boards, &hidden, &mut |what, share| {
+                show_progress(&bar, what, share)
+            })?;
             bar.finish_and_clear();
-            trueup_output::write_line(two.to_text());
+            trueup_output::write_line_best_effort(two.to_text());
             Some(two)
         }
     };
 
     let outcome = two.as_ref().map(|two| &two.outcome);
-    let summary = Summary::new(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
+    let summary = DemoSummary::new(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
     fs::create_dir_all(&folder)?;
     if let Some(two) = &two {
-        fs::write(folder.join("act-two.svg"), page::act_two_svg(two))?;
+        fs::write(folder.join("act-two.svg"), page::hidden_fault_svg(two))?;
     }
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
     fs::write(folder.join("report.html"), page::render_page(&one, two.as_ref()))?;
     fs::write(folder.join("extended.toml"), &one.extended)?;
     let shown_at = folder.strip_prefix(&root).unwrap_or(&folder);
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(format_args!(
         "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
         summary.frames,
         summary.e2e_errors,

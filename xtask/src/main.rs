@@ -21,13 +21,13 @@ use trueup_checks::{
     api_docs, book, bounds, campaign, debian, release, structure,
     verify::{self, Tier},
 };
-use trueup_demo::{boards::BoardSource, campaign::Campaign};
+use trueup_demo::{boards::BoardSource, campaign::CampaignStatistics};
 use trueup_emulator::{
     benchmark, chip,
     firmware::{self, Board},
     images, linuxcnc, setup, size, slots,
 };
-use trueup_machine::{BadInput, MachineFile};
+use trueup_machine::{InputFileError, MachineFile};
 
 use demo::{DemoArgs, run_demo};
 
@@ -197,7 +197,7 @@ struct LinuxCncArgs {
     on: linuxcnc::BridgePlatform,
     /// Where its offsets enter LinuxCNC.
     #[arg(long, value_enum, default_value_t)]
-    by: linuxcnc::OffsetEntry,
+    by: linuxcnc::OffsetEntryPoint,
     #[command(subcommand)]
     command: Option<LinuxCncCommand>,
 }
@@ -265,27 +265,27 @@ fn main() -> ExitCode {
     let words = std::env::args_os().filter(|word| word != "--");
     let result = match Cli::parse_from(words).command {
         Command::Demo(options) => run_demo(&options),
-        Command::Hidden { seeds, first, tools, board } => run_hidden(seeds, first, tools, board),
+        Command::Hidden { seeds, first, tools, board } => {
+            run_hidden_fault_campaign(seeds, first, tools, board)
+        }
         Command::Verify(VerifyArgs { all: true, .. }) => verify::run(Tier::All),
         Command::Verify(VerifyArgs { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
-        Command::Chip(ChipArgs { options }) => run_chip(options),
+        Command::Chip(ChipArgs { options }) => run_chip_model(options),
         Command::LinuxCnc(options) => run_linuxcnc(options),
-        Command::Size => {
-            size::build_size_report().map(|report| trueup_output::write_line(report.trim_end()))
-        }
+        Command::Size => size::build_size_report()
+            .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
         Command::Bounds { path, clock, largest } => match path {
             Some(task) => bounds::format_longest_path(&task, clock, largest),
-            None => bounds::format_report(),
+            None => bounds::format_timing_report(),
         }
-        .map(|report| trueup_output::write_line(report.trim_end())),
-        Command::Images => {
-            images::build_bundled_images().map(|folder| trueup_output::write_line(folder.display()))
-        }
-        Command::Firmware => images::build_flashable().map(|built| {
-            trueup_output::write_line(built.image.display());
-            trueup_output::write_line(built.update.display());
+        .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
+        Command::Images => images::build_bundled_images()
+            .map(|folder| trueup_output::write_line_best_effort(folder.display())),
+        Command::Firmware => images::build_flashable_files().map(|built| {
+            trueup_output::write_line_best_effort(built.image.display());
+            trueup_output::write_line_best_effort(built.update.display());
         }),
         Command::Measure => benchmark::run_benchmark(benchmark::TEST_VECTOR_COUNT)
             .and_then(|measured| measured.write_report()),
@@ -298,15 +298,20 @@ fn main() -> ExitCode {
             campaign::run_volume_campaign(volumes, first, &law)
         }
         Command::VolumeBoard { poses } => campaign::run_volume_board_campaign(poses),
-        Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
-        Command::Names { count, seed } => print_names(count, seed.unwrap_or_else(random_seed)),
-        Command::Structure => structure::check(&setup::project_root())
-            .map(|report| trueup_output::write_line(report.trim_end())),
+        Command::Soak { ticks, seed } => campaign::run_soak_campaign(ticks, seed),
+        Command::Names { count, seed } => {
+            print_random_names(count, seed.unwrap_or_else(random_seed))
+        }
+        Command::Structure => structure::check_structure(&setup::project_root())
+            .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
         Command::Deb { is_tried } => build_deb(is_tried),
         Command::Release { once: true, .. } => release::build_release_files(),
         Command::Release { key, .. } => make_release(key.as_deref()),
-        Command::Book => book::render().map(|page| trueup_output::write_line(page.display())),
-        Command::Doc => api_docs::build().map(|page| trueup_output::write_line(page.display())),
+        Command::Book => {
+            book::render_book().map(|page| trueup_output::write_line_best_effort(page.display()))
+        }
+        Command::Doc => api_docs::build_api_docs()
+            .map(|page| trueup_output::write_line_best_effort(page.display())),
         Command::Setup => setup::install_all_dependencies(),
     };
     match result {
@@ -314,7 +319,7 @@ fn main() -> ExitCode {
         Err(error) => {
             trueup_output::write_diagnostic(format_args!("error: {error:#}"));
             // What the user can mend in a file is distinguished from everything else.
-            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+            ExitCode::from(if error.is::<InputFileError>() { 2 } else { 1 })
         }
     }
 }
@@ -324,14 +329,14 @@ fn build_deb(is_tried: bool) -> Result<()> {
     if is_tried {
         debian::test_install(&package)?;
     }
-    trueup_output::write_line(package.display());
+    trueup_output::write_line_best_effort(package.display());
     Ok(())
 }
 
 fn make_release(key: Option<&Path>) -> Result<()> {
     let made = release::create_release(key)?;
     for file in &made.files {
-        trueup_output::write_line(made.folder.join(file).display());
+        trueup_output::write_line_best_effort(made.folder.join(file).display());
     }
     if made.skipped.is_empty() {
         return Ok(());
@@ -339,7 +344,7 @@ fn make_release(key: Option<&Path>) -> Result<()> {
     bail!("the release is not whole: {}", made.skipped.join("\n"))
 }
 
-fn run_chip(mut options: Vec<String>) -> Result<()> {
+fn run_chip_model(mut options: Vec<String>) -> Result<()> {
     let Some(model) = chip::build()? else {
         let (major, minor) = chip::MIN_COMPILER_VERSION;
         bail!("the model of the chip needs Rust {major}.{minor} or newer");
@@ -349,7 +354,7 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
         Some(_) => firmware::build(Board::Stm32f405)?,
         None => {
             let machine = setup::project_root().join("data/paper_spindle.toml");
-            slots::build_flashable_for(&machine, slots::firmware_version()?)?.image
+            slots::build_flashable_files_for_machine(&machine, slots::firmware_version()?)?.image
         }
     };
     let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
@@ -366,27 +371,27 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     Ok(())
 }
 
-fn print_names(count: usize, seed: u64) -> Result<()> {
+fn print_random_names(count: usize, seed: u64) -> Result<()> {
     let (names, of) = structure::names::draw_names(&setup::project_root(), count, seed)?;
-    trueup_output::write_line(format_args!("{count} of {of} names, --seed {seed}"));
+    trueup_output::write_line_best_effort(format_args!("{count} of {of} names, --seed {seed}"));
     for structure::names::DeclaredName { kind, name, place, .. } in names {
-        trueup_output::write_line(format_args!("{kind:<7} {name:<40} {place}"));
+        trueup_output::write_line_best_effort(format_args!("{kind:<7} {name:<40} {place}"));
     }
     Ok(())
 }
 
 fn run_linuxcnc(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Result<()> {
     match command {
-        None => linuxcnc::run_and_publish(linuxcnc::CompensationRoute { on, by }).map(drop),
+        None => linuxcnc::run_and_write_report(linuxcnc::CompensationRoute { on, by }).map(drop),
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
-            campaign::run_random_event_campaign(
+            campaign::run_linuxcnc_event_campaign(
                 cycles,
                 events,
                 seed.unwrap_or_else(random_seed),
                 &ways,
             )
         }
-        Some(LinuxCncCommand::Circle) => campaign::run_linuxcnc_circle(),
+        Some(LinuxCncCommand::Circle) => campaign::run_linuxcnc_circular_test(),
         Some(LinuxCncCommand::Repeat { runs }) => linuxcnc::repeatability::print_reductions(runs),
     }
 }
@@ -396,23 +401,26 @@ fn random_seed() -> u64 {
     UNIX_EPOCH.elapsed().unwrap_or_default().as_micros() as u64 % 1_000_000
 }
 
-fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
+fn run_hidden_fault_campaign(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
     let boards = match on_board {
-        true => BoardSource::Emulated(firmware::build_virtual()?),
+        true => BoardSource::Emulated(firmware::build_virtual_board_image()?),
         false => BoardSource::InProcess,
     };
     type TestCaseSampler = fn(u64) -> Result<SeparableFaultMachine>;
     let all: [(u64, &str, TestCaseSampler); 2] = [
         (seeds, "", SeparableFaultMachine::draw),
-        (tools, "that change their tools: ", SeparableFaultMachine::draw_with_tools),
+        (tools, "that change their tools: ", SeparableFaultMachine::draw_with_tool_growth),
     ];
     for (seeds, which, draw) in all {
-        let mut campaign = Campaign::default();
+        let mut campaign = CampaignStatistics::default();
         for seed in first..first + seeds {
-            trueup_output::write_line(campaign.play(&boards, &draw(seed)?)?);
+            trueup_output::write_line_best_effort(campaign.play(&boards, &draw(seed)?)?);
         }
         if seeds > 0 {
-            trueup_output::write_line(format_args!("{which}{}", campaign.format_summary()));
+            trueup_output::write_line_best_effort(format_args!(
+                "{which}{}",
+                campaign.format_summary()
+            ));
         }
     }
     Ok(())
@@ -424,5 +432,5 @@ fn run_virtual(args: VirtualArgs) -> Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    trueup_virtual_bridge::run(&machine, &args.options, firmware::build_virtual, stop)
+    trueup_virtual_bridge::run(&machine, &args.options, firmware::build_virtual_board_image, stop)
 }

@@ -43,18 +43,18 @@ const IMAGE_SOURCES: [&str; 17] = [
     "crates/board/signature/src",
     "crates/board/store/src",
 ];
-const FIRMWARE_ENV: &str = "TRUEUP_FIRMWARE";
+const FIRMWARE_ENV_VAR: &str = "TRUEUP_FIRMWARE";
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rerun-if-env-changed={FIRMWARE_ENV}");
+    println!("cargo:rerun-if-env-changed={FIRMWARE_ENV_VAR}");
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it"));
     let root = package.join("../../..");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
     // An image says its commit, so that one of another commit is another image.
     let with_commit = commit::emit_commit_env(&root);
     let is_release = env::var("PROFILE").is_ok_and(|profile| profile == "release");
-    let carried = match env::var(FIRMWARE_ENV).as_deref() {
+    let carried = match env::var(FIRMWARE_ENV_VAR).as_deref() {
         Ok("0") => false,
         Ok("1") => true,
         _ => is_release,
@@ -92,17 +92,17 @@ fn is_up_to_date(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
     let sources = IMAGE_SOURCES.iter().map(|source| root.join(source));
     let newest = sources
         .chain(with_commit.iter().cloned())
-        .filter_map(|source| latest_modification(&source))
+        .filter_map(|source| latest_modification_time(&source))
         .max();
     images.into_iter().min().flatten() > newest
 }
 
 /// When something in a folder, or a file, was last changed.
-fn latest_modification(path: &Path) -> Option<SystemTime> {
+fn latest_modification_time(path: &Path) -> Option<SystemTime> {
     let Ok(entries) = fs::read_dir(path) else {
         return fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
     };
-    entries.flatten().filter_map(|entry| latest_modification(&entry.path())).max()
+    entries.flatten().filter_map(|entry| latest_modification_time(&entry.path())).max()
 }
 
 /// Builds the images as `cargo xtask images` does, in another profile's folder than this build.

@@ -45,8 +45,9 @@ fn parts() -> Option<&'static Parts> {
     PARTS
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
-            let boot = slots::build_boot().expect("the boot program builds");
-            let images = Slot::ALL.map(|slot| slots::build_slot_test(slot).expect("it builds"));
+            let boot = slots::build_boot_program().expect("the boot program builds");
+            let images =
+                Slot::ALL.map(|slot| slots::build_slot_test_image(slot).expect("it builds"));
             Some(Parts { model, boot, images })
         })
         .as_ref()

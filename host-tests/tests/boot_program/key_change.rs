@@ -38,9 +38,9 @@ impl New {
             let path = folder.path().join("maker.pub.pem");
             fs::write(&path, key.public_key().to_pem().expect("a key"))
                 .expect("a folder of the test");
-            let boot = slots::build_boot_with_key(&path).expect("the boot program builds");
+            let boot = slots::build_boot_program_with_key(&path).expect("the boot program builds");
             let images = Slot::ALL
-                .map(|slot| slots::build_slot_test_with_key(slot, &path).expect("it builds"));
+                .map(|slot| slots::build_slot_test_image_with_key(slot, &path).expect("it builds"));
             Self { key, boot, images }
         })
     }

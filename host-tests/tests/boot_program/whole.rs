@@ -14,7 +14,7 @@ fn one_whole_image_starts_on_an_empty_board_and_has_its_update_in_slot_a() {
     let Some(_) = boot() else { return };
     let machine = setup::project_root().join("data/paper_spindle.toml");
     let version = Version::new(0, 9, 1, 0);
-    let whole = slots::build_flashable_for(&machine, version).expect("it builds");
+    let whole = slots::build_flashable_files_for_machine(&machine, version).expect("it builds");
     let flash = binary::read_flash_image(&whole.image).expect("an image");
     let update = std::fs::read(&whole.update).expect("it was written");
     let length = flash.len().next_multiple_of(4) - SLOT_A;

@@ -23,7 +23,7 @@ fn parts() -> Option<&'static (PathBuf, PathBuf)> {
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
             let machine = setup::project_root().join("data/paper_spindle.toml");
-            Some((model, firmware::build_for_machine(&machine).expect("the image builds")))
+            Some((model, firmware::build_image_for_machine(&machine).expect("the image builds")))
         })
         .as_ref()
 }
@@ -357,7 +357,7 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     let runs = [plain.clone(), plain.replace("[inputs]\n", input)].map(|text| {
         let file = folder.path().join("machine.toml");
         std::fs::write(&file, text).expect("it is written");
-        let image = firmware::build_for_machine(&file).expect("the image builds");
+        let image = firmware::build_image_for_machine(&file).expect("the image builds");
         let options = ["--bor", "--ms", "1500", "--code", "1700", "--input", "4", "1.3"];
         let report = chip::run(model, &image, &options).expect("the model runs");
         is_clean(&report);

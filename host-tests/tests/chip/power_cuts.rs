@@ -7,7 +7,7 @@ use trueup_emulator::chip::RunReport;
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
-    status::{self, Item, StateBits},
+    status::{self, StateBits, StatusItem},
 };
 
 use crate::{is_clean, logs, offsets_z, support::chip::Chip};
@@ -82,7 +82,7 @@ fn is_heat_unknown(report: &RunReport) -> bool {
             std::array::from_fn(|n| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex"));
         let frame = Frame::new(STATUS_ID, &bytes).expect("eight bytes");
         match status::decode(&frame).expect("a status").item {
-            Item::State(bits) => Some(bits),
+            StatusItem::State(bits) => Some(bits),
             _ => None,
         }
     });

@@ -4,7 +4,7 @@
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
-    status::{self, Item, ResetReason},
+    status::{self, ResetReason, StatusItem},
 };
 
 use crate::{assert_reported, is_clean, logs, run, run_script, sends_every_millisecond};
@@ -161,7 +161,7 @@ fn reset_reason(event: &str) -> Option<ResetReason> {
     let bytes: [u8; 8] = std::array::from_fn(byte);
     let frame = Frame::new(STATUS_ID, &bytes).expect("eight bytes");
     match status::decode(&frame).expect("a status").item {
-        Item::Reset { reason, .. } => Some(reason),
+        StatusItem::Reset { reason, .. } => Some(reason),
         _ => None,
     }
 }

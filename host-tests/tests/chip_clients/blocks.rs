@@ -8,8 +8,8 @@ use std::f64::consts::TAU;
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_core::{
-    bridge::Input,
-    cnc::{Control, Spindle},
+    bridge::TickInput,
+    cnc::{Control, SpindleState},
     dimensions::CODES_PER_TICK,
     units::{AdcCode, Rpm},
 };
@@ -69,7 +69,7 @@ fn blocks(pattern: &[u16], from: usize) -> Vec<Block> {
                 sent[0] = Some(frames::encode_control(control, counter));
             }
             10 => {
-                let spindle = Spindle { speed: Rpm(SPEED), load_n: 0 };
+                let spindle = SpindleState { speed: Rpm(SPEED), load_n: 0 };
                 sent[0] = Some(frames::encode_spindle(spindle, counter));
             }
             _ => {}
@@ -93,14 +93,14 @@ fn on_the_host(compiled: &CompiledCalibration, blocks: &[Block]) -> Vec<i32> {
         for frame in block.frames.iter().flatten() {
             node.receive(Interface::Can, frame).expect("nothing of it is refused");
         }
-        let input = Input { codes: Some(&block.codes), ..Input::default() };
+        let input = TickInput { codes: Some(&block.codes), ..TickInput::default() };
         sent.extend(node.tick(1, input));
     }
     settled(sent.iter())
 }
 
 fn on_the_virtual_board(compiled: &CompiledCalibration, blocks: &[Block]) -> Result<Vec<i32>> {
-    let image = firmware::build_virtual()?;
+    let image = firmware::build_virtual_board_image()?;
     let mut board = VirtualBoard::boot(&image, compiled.blob())?;
     let mut sent = Vec::new();
     for batch in blocks.chunks(MAX_BATCH_BLOCKS as usize) {

@@ -12,7 +12,7 @@ use trueup_link::{
     layout::STATUS_ID,
     receiver::{OffsetReceiver, StatusReceiver},
     slcan::{Client, Event},
-    status::Item,
+    status::StatusItem,
 };
 
 use crate::{CODE, FAST_MACHINE, GROWN_UM, support::chip::Chip};
@@ -37,7 +37,7 @@ fn first_offset(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
             let Event::Frame(frame) = event else { continue };
             if frame.id() != STATUS_ID {
                 pairs += u32::from(matches!(offsets.accept(&frame), Ok(Some(_))));
-            } else if let Item::Elongation(Some(grown)) = status.accept(&frame)?.item {
+            } else if let StatusItem::Elongation(Some(grown)) = status.accept(&frame)?.item {
                 grown_um = Some(f64::from(grown.0) / 1e3);
             }
         }

@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{FAST_MACHINE, chip::Chip, trueup};
 use trueup_canopen::EDS;
-use trueup_emulator::{chip::RunningModel, seal, setup};
+use trueup_emulator::{chip::RunningChipModel, seal, setup};
 use trueup_machine::{MachineFile, compile};
 use trueup_store::calibration::calibration_crc;
 
@@ -74,7 +74,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
         fs::write(&script, format!("0 flags 2\n300 poke {key:x} {number:x}\n320 say V\\r\n"))?;
         let script = script.to_str().context("a plain name")?;
         let options = [&LONG[..], &["--script", script]].concat();
-        let line = RunningModel::start(&chip.model, &chip.image, &options)?;
+        let line = RunningChipModel::start(&chip.model, &chip.image, &options)?;
         let text = info_with(line.port, words[0])?;
         println!("{text}");
         for word in words.iter().chain(&["power-on 1"]) {
@@ -97,7 +97,7 @@ fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
     // There before a board waits for them.
     let python = setup::ensure_python()?;
     trueup()?;
-    let line = RunningModel::start(&chip.model, &chip.image, &options)?;
+    let line = RunningChipModel::start(&chip.model, &chip.image, &options)?;
     // A message before the board is up is lost, as on a wire.
     info_with(line.port, "heartbeat")?;
     let output = Command::new(python)

@@ -9,8 +9,8 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use trueup_core::cnc::{Control, Quality};
-use trueup_emulator::{chip::RunningModel, plc, setup};
+use trueup_core::cnc::{Control, OffsetQuality};
+use trueup_emulator::{chip::RunningChipModel, plc, setup};
 use trueup_modbus::input::InputBlock;
 
 use super::{
@@ -75,7 +75,8 @@ fn polled(until_ms: u32) -> Result<Option<usize>> {
         let block =
             InputBlock::decode(&words.try_into().expect("28 registers")).context("half old")?;
         reads += 1;
-        let (Some(offsets), Quality::Live) = (block.output.offset, block.output.quality) else {
+        let (Some(offsets), OffsetQuality::Live) = (block.output.offset, block.output.quality)
+        else {
             continue;
         };
         live += 1;
@@ -125,7 +126,7 @@ fn masters(more: &[&OsStr]) -> Result<Option<Value>> {
     let options = [&LONG[..], &sensor, &NO_PARITY].concat();
     // There before a board waits for them.
     let (python, mbpoll) = (setup::ensure_python()?, setup::ensure_mbpoll()?);
-    let line = RunningModel::start_modbus(&chip.model, &chip.image, &options)?;
+    let line = RunningChipModel::start_with_modbus(&chip.model, &chip.image, &options)?;
     let output = Command::new(python)
         .arg(setup::project_root().join("host-tests/python/board_masters.py"))
         .arg(line.port.to_string())

@@ -2,12 +2,12 @@
 //! the standard names or no answer at all, and nothing moves. All times are the board's.
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_core::cnc::{Control, Quality};
+use trueup_core::cnc::{Control, OffsetQuality};
 use trueup_emulator::{
     chip::RunReport,
     plc::{
-        UNIT_ID, encode_frame, encode_hex, read_request_hex, read_request_pdu, write_request_hex,
-        write_request_pdu,
+        UNIT_ID, encode_hex, encode_rtu_frame, read_request_hex, read_request_pdu,
+        write_request_hex, write_request_pdu,
     },
 };
 use trueup_link::status::StateBits;
@@ -40,8 +40,8 @@ struct RequestFault {
 
 impl RequestFault {
     fn with_exception(name: &'static str, pdu: &[u8], exception: u8) -> Self {
-        let answer = encode_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
-        Self { answer: Some(answer), ..Self::silent(name, encode_frame(UNIT_ID, pdu)) }
+        let answer = encode_rtu_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
+        Self { answer: Some(answer), ..Self::silent(name, encode_rtu_frame(UNIT_ID, pdu)) }
     }
 
     fn silent(name: &'static str, bytes: Vec<u8>) -> Self {
@@ -57,7 +57,7 @@ fn faults(counter: u16) -> Vec<RequestFault> {
         pdu[place] = value;
         pdu
     };
-    let whole = encode_frame(UNIT_ID, &release);
+    let whole = encode_rtu_frame(UNIT_ID, &release);
     let damaged = [&whole[..42], &[whole[42] ^ 1]].concat();
     let mut random = 1_u32;
     let mut noise = |length: usize| -> Vec<u8> {
@@ -89,9 +89,9 @@ fn faults(counter: u16) -> Vec<RequestFault> {
         RequestFault::with_exception("write elsewhere", &changed(2, 1), 2),
         RequestFault::with_exception("write nothing", &[16, 0, 0, 0, 0, 0], 3),
         RequestFault::with_exception("another length than is stated", &changed(5, 32), 3),
-        RequestFault::silent("to everybody", encode_frame(0, &release)),
-        RequestFault::silent("to another unit", encode_frame(7, &release)),
-        RequestFault::silent("to unit 255", encode_frame(255, &release)),
+        RequestFault::silent("to everybody", encode_rtu_frame(0, &release)),
+        RequestFault::silent("to another unit", encode_rtu_frame(7, &release)),
+        RequestFault::silent("to unit 255", encode_rtu_frame(255, &release)),
         RequestFault::silent("a wrong checksum", damaged),
         RequestFault::silent("half a request", whole[..20].to_vec()),
         RequestFault::silent("noise", noise(37)),
@@ -173,7 +173,7 @@ fn stands(report: &RunReport, from: u32, to: u32) -> Result<()> {
     ensure!(course.len() > 100 && first.abs() > 1_000, "{} offsets of {first}", course.len());
     let moved = course
         .iter()
-        .find(|(z, quality)| z.abs_diff(first) > STANDS || *quality != Quality::Live as u8);
+        .find(|(z, quality)| z.abs_diff(first) > STANDS || *quality != OffsetQuality::Live as u8);
     ensure!(moved.is_none(), "{moved:?} where {first} stood, × 10 nm");
     Ok(())
 }
@@ -183,7 +183,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
 -> Result<()> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
     let mut master = Master::engaging(SETTLED_MS);
-    let written = encode_frame(UNIT_ID, &[16, 0, 0, 0, 17]);
+    let written = encode_rtu_frame(UNIT_ID, &[16, 0, 0, 0, 17]);
     let mut slots = Vec::new();
     let mut at = SETTLED_MS;
     for number in 0..faults(0).len() {
@@ -209,7 +209,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
     let not_used = [block, write_request_pdu(Control::REFERENCED, master.counter - 1)];
     let acknowledged = at;
     for pdu in &not_used {
-        master.script += &format!("{at} modbus {}\n", encode_hex(&encode_frame(UNIT_ID, pdu)));
+        master.script += &format!("{at} modbus {}\n", encode_hex(&encode_rtu_frame(UNIT_ID, pdu)));
         at += 10;
     }
     master.lives(at);
@@ -237,7 +237,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
     ensure!((input.refused, input.last_refused) == (2, 3), "{input:?}");
     stands(&report, SETTLED_MS, released)?;
     let last = *course(&report, released, released + 60).last().context("offsets")?;
-    ensure!(last == (0, Quality::Off as u8), "a block that is whole does move it: {last:?}");
+    ensure!(last == (0, OffsetQuality::Off as u8), "a block that is whole does move it: {last:?}");
     println!("{} faults, {} of them without an answer", slots.len() + 2, {
         slots.iter().filter(|(.., fault)| fault.answer.is_none()).count()
     });
@@ -266,7 +266,7 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
 
     // A PLC that does, next to a CNC; then the CNC falls silent.
     let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
-    let busy = encode_frame(UNIT_ID, &[0x90, 6]);
+    let busy = encode_rtu_frame(UNIT_ID, &[0x90, 6]);
     let requested: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
     for (counter, at) in (0..).zip(&requested) {
         script += &format!("{at} modbus {}\n", write_request_hex(Control::REFERENCED, counter));
@@ -275,7 +275,7 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
     script += &format!(
         "{} modbus {}\n{silent} control 0\n",
         end + 1,
-        encode_hex(&encode_frame(UNIT_ID, &read_request_pdu()))
+        encode_hex(&encode_rtu_frame(UNIT_ID, &read_request_pdu()))
     );
     script += &format!("{free} modbus {}\n", write_request_hex(Control::REFERENCED, 900));
     let report = chip.live(free + 20, &script, &FAST)?;
@@ -287,6 +287,6 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
     ensure!(is_reported(&answers.input(end, silent)?), "it is reported");
     stands(&report, SETTLED_MS, silent)?;
     let admitted = answers.between(free, free + 20);
-    ensure!(admitted == [&encode_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
+    ensure!(admitted == [&encode_rtu_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
     Ok(())
 }

@@ -11,7 +11,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_boot::header::Version;
 use trueup_emulator::{
-    chip::{self, RunningModel},
+    chip::{self, RunningChipModel},
     slots,
 };
 
@@ -56,12 +56,13 @@ fn the_tool_updates_a_board_goes_on_after_a_kill_and_the_old_file_is_refused() -
     let Some(model) = chip::build()? else { return Ok(()) };
     let folder = tempfile::tempdir()?;
     let machine = machine(folder.path())?;
-    let [old, new] =
-        [1, 2].map(|patch| slots::build_flashable_for(&machine, Version::new(0, 9, patch, 0)));
+    let [old, new] = [1, 2].map(|patch| {
+        slots::build_flashable_files_for_machine(&machine, Version::new(0, 9, patch, 0))
+    });
     let (old, new) = (old?, new?);
     trueup()?;
     let options = [&LONG[..], &["--no-cnc"]].concat();
-    let line = RunningModel::start(&model, &old.image, &options)?;
+    let line = RunningChipModel::start(&model, &old.image, &options)?;
     println!("{}", info_with(line.port, "0.9.1")?);
 
     // The tool is killed in the middle of the image.

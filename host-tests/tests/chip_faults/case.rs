@@ -1,7 +1,7 @@
 //! A case of the list: a fault, and what must become of it within what time.
 
 use trueup_canopen::{dictionary::TASK_NAMES, emergency::Fault};
-use trueup_core::cnc::{Flags, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality};
 use trueup_link::status::{ResetReason, StateBits};
 
 /// A fault, when it comes in its run, and what must be seen of it after that.
@@ -13,8 +13,8 @@ pub struct Case {
     pub at: u32,
     /// Within how many ms all of it is seen.
     pub within: u32,
-    pub quality: Option<Quality>,
-    pub flag: Option<(Flags, &'static str)>,
+    pub quality: Option<OffsetQuality>,
+    pub flag: Option<(OffsetFlags, &'static str)>,
     pub state: Option<StateBits>,
     pub emergency: Option<Fault>,
     /// The emergency came before anybody listened: the history, object 0x1003, has it.
@@ -33,11 +33,11 @@ impl Case {
         Self { fault, at, within, quality, flag, state, emergency, is_history, restart, task }
     }
 
-    pub const fn quality(self, quality: Quality) -> Self {
+    pub const fn quality(self, quality: OffsetQuality) -> Self {
         Self { quality: Some(quality), ..self }
     }
 
-    pub const fn flag(self, flag: Flags, name: &'static str) -> Self {
+    pub const fn flag(self, flag: OffsetFlags, name: &'static str) -> Self {
         Self { flag: Some((flag, name)), ..self }
     }
 
@@ -56,7 +56,7 @@ impl Case {
 
     /// The board is "not available" meanwhile.
     pub const fn restart(self, reason: ResetReason) -> Self {
-        Self { restart: Some(reason), quality: Some(Quality::Fault), ..self }
+        Self { restart: Some(reason), quality: Some(OffsetQuality::Fault), ..self }
     }
 
     pub const fn task(self, task: &'static str) -> Self {
@@ -175,7 +175,7 @@ type At = (u16, u8);
 #[derive(Default)]
 pub struct Seen {
     /// Quality and flags.
-    pub offsets: Vec<(f64, (u8, Flags))>,
+    pub offsets: Vec<(f64, (u8, OffsetFlags))>,
     /// The numbers of faults that came.
     pub emergencies: Vec<(f64, u8)>,
     /// Objects that were read, and their values.
@@ -217,7 +217,7 @@ impl Seen {
 
     fn take(&mut self, time: f64, id: u16, data: [u8; 8]) {
         match id {
-            0x281 => self.offsets.push((time, (data[5] >> 4, Flags(data[6])))),
+            0x281 => self.offsets.push((time, (data[5] >> 4, OffsetFlags(data[6])))),
             0x081 if data[..2] != [0, 0] => self.emergencies.push((time, data[3])),
             0x381 if data[3] & 0x0F == 9 => {
                 self.free_stack.push(u16::from_le_bytes([data[6], data[7]]));

@@ -2,7 +2,7 @@
 //! board are one run.
 
 use trueup_canopen::emergency::Fault;
-use trueup_core::cnc::{Flags, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality};
 use trueup_link::status::{ResetReason, StateBits};
 
 use crate::case::Case;
@@ -195,14 +195,14 @@ fn image_changes() -> Run {
     run("image", "400 poke 0800013c 10\n", 3_300).case(
         "a bit of the flash flips",
         Case::new("the image changes", 400, 2_800)
-            .quality(Quality::Fault)
+            .quality(OffsetQuality::Fault)
             .state(StateBits::SELF_TEST_FAILED)
             .emergency(Fault::SelfTest),
     )
 }
 
 fn ram() -> Run {
-    let damaged = Case::new("the RAM is damaged", 0, 300).quality(Quality::Fault);
+    let damaged = Case::new("the RAM is damaged", 0, 300).quality(OffsetQuality::Fault);
     let options = &["--bor", "--ram-stuck", "20012340"];
     let emergency = damaged.state(StateBits::SELF_TEST_FAILED).emergency(Fault::SelfTest);
     run("ram", "", 600).options(options).case("a bit that is always 1", emergency)
@@ -212,8 +212,8 @@ fn sampling() -> Run {
     let script = "700 adc_overrun\n1000 dma_error 0\n1300 adc_stall\n1600 noise 0\n";
     let lost = |fault, at| {
         Case::new(fault, at, 40)
-            .quality(Quality::TemperatureModel)
-            .flag(Flags::SAMPLES_MISSING, "samples missing")
+            .quality(OffsetQuality::TemperatureModel)
+            .flag(OffsetFlags::SAMPLES_MISSING, "samples missing")
             .emergency(Fault::SamplesMissing)
     };
     run("sampling", script, 2_000)
@@ -223,8 +223,8 @@ fn sampling() -> Run {
         .case(
             "the same code for ever",
             Case::new("the sensor is stuck", 1_600, 400)
-                .quality(Quality::TemperatureModel)
-                .flag(Flags::SENSOR_FAULT, "sensor")
+                .quality(OffsetQuality::TemperatureModel)
+                .flag(OffsetFlags::SENSOR_FAULT, "sensor")
                 .emergency(Fault::Sensor),
         )
 }
@@ -232,8 +232,8 @@ fn sampling() -> Run {
 fn cable() -> Run {
     let off = |fault, at| {
         Case::new(fault, at, 300)
-            .quality(Quality::TemperatureModel)
-            .flag(Flags::SENSOR_FAULT, "sensor")
+            .quality(OffsetQuality::TemperatureModel)
+            .flag(OffsetFlags::SENSOR_FAULT, "sensor")
             .emergency(Fault::Sensor)
     };
     run("cable", "700 pattern 0\n900 pattern\n2300 pattern 4095\n", 2_600)
@@ -243,8 +243,8 @@ fn cable() -> Run {
 
 fn codes() -> Run {
     let garbage = Case::new("the sensor's codes are garbage", 1_300, 100)
-        .quality(Quality::TemperatureModel)
-        .flag(Flags::SENSOR_FAULT, "sensor")
+        .quality(OffsetQuality::TemperatureModel)
+        .flag(OffsetFlags::SENSOR_FAULT, "sensor")
         .emergency(Fault::Sensor);
     let jumps = Case::new("the sensor jumps", 700, 100)
         .state(StateBits::SENSOR_ANOMALOUS)
@@ -272,7 +272,8 @@ fn spi() -> Run {
 }
 
 fn no_thermometer() -> Run {
-    let missing = dead_source("the thermometers are missing", 0, 1_400).quality(Quality::Live);
+    let missing =
+        dead_source("the thermometers are missing", 0, 1_400).quality(OffsetQuality::Live);
     run("no thermometer", "", 1_800)
         .options(&["--bor", "--rtds", "0"])
         .case("none is fitted", missing)
@@ -280,7 +281,7 @@ fn no_thermometer() -> Run {
 
 fn can() -> Run {
     // The CNC is on the bus alone, and is lost with it.
-    let lost = |fault, at| Case::new(fault, at, 500).quality(Quality::Hold);
+    let lost = |fault, at| Case::new(fault, at, 500).quality(OffsetQuality::Hold);
     let script = "200 say S8\\rO\\r\n500 alone 1\n1000 alone 0\n1500 flags 2\n1700 flags 3\n2000 short 1\n2600 short 0\n3100 flags 2\n3300 flags 3\n3600 stuck 1\n";
     run("can", script, 4_300)
         .serial()
@@ -307,8 +308,8 @@ fn can_floods() -> Run {
         .case(
             "6 frames a ms with the CNC's identifiers and wrong checksums",
             Case::new("the bus is flooded with forged frames", 900, 300)
-                .quality(Quality::Hold)
-                .flag(Flags::CNC_LOST, "CNC lost")
+                .quality(OffsetQuality::Hold)
+                .flag(OffsetFlags::CNC_LOST, "CNC lost")
                 .emergency(Fault::CncLost),
         )
 }
@@ -345,8 +346,8 @@ fn silent_cnc() -> Run {
     run("silent cnc", "700 control 0\n", 1_100).case(
         "no `Control`",
         Case::new("the CNC falls silent", 700, 300)
-            .quality(Quality::Hold)
-            .flag(Flags::CNC_LOST, "CNC lost")
+            .quality(OffsetQuality::Hold)
+            .flag(OffsetFlags::CNC_LOST, "CNC lost")
             .emergency(Fault::CncLost),
     )
 }
@@ -356,7 +357,7 @@ fn crystal_stops() -> Run {
         "no more edges",
         Case::new("the crystal stops", 500, 600)
             .restart(ResetReason::Crystal)
-            .flag(Flags::BOARD_DEGRADED, "board degraded")
+            .flag(OffsetFlags::BOARD_DEGRADED, "board degraded")
             .state(StateBits::FALLBACK_CLOCK)
             .history(Fault::Crystal),
     )
@@ -364,8 +365,8 @@ fn crystal_stops() -> Run {
 
 fn without_can(name: &'static str, options: &'static [&'static str], case: Case, how: &str) -> Run {
     let case = case
-        .quality(Quality::Fault)
-        .flag(Flags::BOARD_DEGRADED, "board degraded")
+        .quality(OffsetQuality::Fault)
+        .flag(OffsetFlags::BOARD_DEGRADED, "board degraded")
         .state(StateBits::FALLBACK_CLOCK);
     run(name, "55 say S8\\rO\\r\n150 say S8\\rO\\r\n", 700)
         .serial()
@@ -419,7 +420,7 @@ fn write_protected() -> Run {
         .case(
             "the option bytes protect the store: the start tells",
             Case::new("the store cannot be written", 0, 250)
-                .quality(Quality::Fault)
+                .quality(OffsetQuality::Fault)
                 .state(StateBits::STORE_FAILING)
                 .emergency(Fault::Store),
         )
@@ -440,7 +441,7 @@ fn unusable(name: &'static str, image: Image, how: &str) -> Run {
     run(name, "", 500).image(image).case(
         how,
         Case::new("no calibration that can be used", 0, 300)
-            .quality(Quality::Fault)
+            .quality(OffsetQuality::Fault)
             .emergency(Fault::NoCalibration),
     )
 }

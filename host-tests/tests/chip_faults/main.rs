@@ -39,10 +39,10 @@ fn parts() -> Option<&'static Parts> {
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
             let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
-            let flashed = firmware::build_for_machine(&machine).expect("the image builds");
+            let flashed = firmware::build_image_for_machine(&machine).expect("the image builds");
             let folder = tempfile::tempdir().expect("a folder");
             let breaking =
-                firmware::build_with_fault_injection(&machine).expect("the image builds");
+                firmware::build_image_with_fault_injection(&machine).expect("the image builds");
             let unusable = [0, 1].map(|kind| spoil(&flashed, &machine, folder.path(), kind));
             Some(Parts { model, flashed, breaking, _folder: folder, unusable })
         })
@@ -180,7 +180,7 @@ fn play_those(is_meant: impl Fn(&Run) -> bool) {
 #[test]
 fn only_the_breaking_image_accepts_the_command_to_break() {
     let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
-    let breaking = firmware::build_with_fault_injection(&machine).expect("it builds");
+    let breaking = firmware::build_image_with_fault_injection(&machine).expect("it builds");
     assert!(seal::symbol_address(&breaking, KEY).expect("an image").is_some());
     for board in firmware::Board::ALL {
         let image = firmware::build(board).expect("it builds");

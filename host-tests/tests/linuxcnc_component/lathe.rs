@@ -31,7 +31,7 @@ fn a_lathe_is_corrected_by_its_radius_in_g7_and_g8() -> Result<()> {
         ("G8 G53 G0 X80 Z-50", 80.0),
         ("G7 G53 G0 X240 Z-300", 120.0),
     ] {
-        cnc.send_command("mdi", "text", words)?;
+        cnc.send_request_with_argument("mdi", "text", words)?;
         let names = ["joint.0.motor-pos-cmd", "axis.x.eoffset", "axis.z.eoffset"];
         cnc.wait_for_pins(words, 30, &names, |seen| {
             let [x_um, z_um] = [seen[1] * 1e3, seen[2] * 1e3];

@@ -62,7 +62,7 @@ fn back_on(rig: &mut Rig) -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
-        rig.cnc.send_command("state", "name", "estop")?;
+        rig.cnc.send_request_with_argument("state", "name", "estop")?;
         rest(300);
         back_on(rig)
     })
@@ -73,7 +73,7 @@ fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
 fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         for _ in 0..3 {
-            rig.cnc.send_command("state", "name", "off")?;
+            rig.cnc.send_request_with_argument("state", "name", "off")?;
             rest(100);
             back_on(rig)?;
             // Once in the middle of the ramp.
@@ -104,7 +104,7 @@ fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> 
 fn at_a_soft_limit_the_offset_stands_back_and_does_not_hurry_afterwards() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         // Z may go to 1 mm, and the offset would take it beyond.
-        rig.cnc.send_command("mdi", "text", "G53 G1 Z1 F2000")?;
+        rig.cnc.send_request_with_argument("mdi", "text", "G53 G1 Z1 F2000")?;
         rig.cnc.wait_for_pins(
             "the limit",
             5,
@@ -114,8 +114,8 @@ fn at_a_soft_limit_the_offset_stands_back_and_does_not_hurry_afterwards() -> Res
         let seen = rig.cnc.read_pins(&["joint.2.pos-cmd", "axis.z.eoffset"])?;
         ensure!(seen[0] <= 1.0 + 1e-9, "the joint is at {} mm", seen[0]);
         ensure!(seen[1].abs() < 0.001, "nothing is left of the offset: {} mm", seen[1]);
-        rig.cnc.send_command("mdi", "text", "G53 G0 Z0")?;
-        rig.cnc.send_command("teleop", "on", true)?;
+        rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 Z0")?;
+        rig.cnc.send_request_with_argument("teleop", "on", true)?;
         Ok(())
     })
 }
@@ -188,7 +188,7 @@ fn restart(rig: &mut Rig) -> Result<()> {
 /// Loads a file that starts a component, and waits until it lives.
 fn load(rig: &mut Rig, file: &str) -> Result<()> {
     let folder = rig.cnc.folder().display().to_string();
-    rig.cnc.halcmd(&format!("-i {folder}/test.ini -f {folder}/{file}"))?;
+    rig.cnc.run_halcmd(&format!("-i {folder}/test.ini -f {folder}/{file}"))?;
     // Both ways within a second: it beats.
     for beat in [0.0, 1.0] {
         rig.cnc.wait_for_pins("a component lives", 5, &["trueup.0.heartbeat"], |seen| {
@@ -226,7 +226,7 @@ fn holds_the_feed(
     hurt: impl Fn(&mut Rig) -> Result<()>,
     mend: impl Fn(&mut Rig) -> Result<()>,
 ) -> Result<()> {
-    rig.cnc.send_command("begin_mdi", "text", "G53 G1 X1900 F6000")?;
+    rig.cnc.send_request_with_argument("begin_mdi", "text", "G53 G1 X1900 F6000")?;
     let names = ["axis.x.pos-cmd", "motion.feed-inhibit"];
     rig.cnc.wait_for_pins("on its way", 10, &names, |seen| seen[0] > 5.0 && seen[1] == 0.0)?;
     rig.begin()?;
@@ -253,8 +253,8 @@ fn holds_the_feed(
     let x_mm = held[1];
     rig.cnc.wait_for_pins("it goes on", 10, &["axis.x.pos-cmd"], |seen| seen[0] > x_mm + 5.0)?;
     rig.cnc.send_request(&json!({"do": "abort"}))?;
-    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-    rig.cnc.send_command("teleop", "on", true)?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_request_with_argument("teleop", "on", true)?;
     rig.applied()
 }
 
@@ -278,8 +278,8 @@ fn a_component_that_is_killed_stopped_or_unwired_holds_the_feed_within_half_a_se
             holds_the_feed(
                 rig,
                 pin,
-                |rig| rig.cnc.halcmd(&format!("unlinkp trueup.0.{pin}")).map(drop),
-                |rig| rig.cnc.halcmd(&format!("net {wire}")).map(drop),
+                |rig| rig.cnc.run_halcmd(&format!("unlinkp trueup.0.{pin}")).map(drop),
+                |rig| rig.cnc.run_halcmd(&format!("net {wire}")).map(drop),
             )?;
         }
         Ok(())
@@ -314,13 +314,13 @@ fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> 
 #[ignore = "long: the real LinuxCNC"]
 fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
     scenario(GROWN_UM, |rig| {
-        rig.cnc.send_command("state", "name", "off")?;
+        rig.cnc.send_request_with_argument("state", "name", "off")?;
         kill_component(rig)?;
         // With nobody who writes them, the signals can be set; the machine is off, so the change
         // is lost, as every change is then.
         for axis in ["x", "y", "z"] {
-            rig.cnc.halcmd(&format!("unlinkp trueup.0.{axis}-counts"))?;
-            rig.cnc.halcmd(&format!("sets trueup-{axis} {}", i32::MAX - 20_000))?;
+            rig.cnc.run_halcmd(&format!("unlinkp trueup.0.{axis}-counts"))?;
+            rig.cnc.run_halcmd(&format!("sets trueup-{axis} {}", i32::MAX - 20_000))?;
         }
         // The component first: it takes the counts as LinuxCNC has them, and with the connection
         // its pins give them to the signals.
@@ -329,7 +329,7 @@ fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
         fs::write(rig.cnc.folder().join("start.hal"), start + "\n")?;
         load(rig, "start.hal")?;
         for axis in ["x", "y", "z"] {
-            rig.cnc.halcmd(&format!("net trueup-{axis} trueup.0.{axis}-counts"))?;
+            rig.cnc.run_halcmd(&format!("net trueup-{axis} trueup.0.{axis}-counts"))?;
         }
         rest(200);
         rig.cnc.power_on_and_home()?;
@@ -366,12 +366,12 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
     rig.begin()?;
     // The spindle is warm. `Zero`, and the offset goes; then the tool touches the part.
     rig.set_reference(GROWN_UM)?;
-    rig.cnc.send_command("mdi", "text", "G53 G0 X3 Y2 Z-30")?;
-    rig.cnc.send_command("mdi", "text", "G53 G1 Z-30.5 F600")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 X3 Y2 Z-30")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G53 G1 Z-30.5 F600")?;
     rest(300);
     // Where the tip of the tool is: below the joint by the growth.
     let touched_mm = rig.cnc.read_pin("joint.2.motor-pos-cmd")? - GROWN_UM * 1e-3;
-    rig.cnc.send_command("mdi", "text", "G10 L20 P1 Z0")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G10 L20 P1 Z0")?;
     // It grows on, and the height stays.
     rig.bridge.grow_to(GROWN_UM + 25.0);
     rig.applied_at(25.0)?;
@@ -380,7 +380,7 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
         Ok((rig.cnc.read_pin("joint.2.motor-pos-cmd")? - growth * 1e-3 - touched_mm) * 1e3)
     };
     let warmer = tip(&mut rig, GROWN_UM + 25.0)?;
-    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 X0 Y0 Z0")?;
     rig.end()?;
 
     // LinuxCNC ends; the bridge loses its power; it is a little cooler when both are back.
@@ -393,16 +393,16 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
     rig.begin()?;
     rig.cnc.power_on_and_home()?;
     rig.applied_at(-12.0)?;
-    rig.cnc.send_command("mdi", "text", "G54 G0 X3 Y2")?;
-    rig.cnc.send_command("mdi", "text", "G54 G0 Z1")?;
-    rig.cnc.send_command("mdi", "text", "G54 G1 Z0 F600")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G54 G0 X3 Y2")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G54 G0 Z1")?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G54 G1 Z0 F600")?;
     rig.applied_at(-12.0)?;
     let restarted = tip(&mut rig, GROWN_UM - 12.0)?;
     println!("off the height: {warmer:+.2} um 25 um warmer, {restarted:+.2} um after the restart");
     ensure!(warmer.abs() < 2.0 && restarted.abs() < 2.0, "{warmer} and {restarted} um");
     // As it was, for the next test: the reference goes.
-    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-    rig.cnc.send_command("teleop", "on", true)?;
+    rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_request_with_argument("teleop", "on", true)?;
     rig.set_reference(0.0)?;
     rig.bridge.grow_to(GROWN_UM);
     rig.applied()?;
@@ -414,7 +414,7 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
 fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         let mut at = |text: &str| -> Result<[f64; 3]> {
-            rig.cnc.send_command("mdi", "text", text)?;
+            rig.cnc.send_request_with_argument("mdi", "text", text)?;
             rig.settled_um()
         };
         // Against a first place, because the reference may have been taken anywhere. Pitch of X:
@@ -431,8 +431,8 @@ fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
             let off = (seen[0] - x_um).abs().max((seen[1] - y_um).abs());
             ensure!(off < 2.0 * CLOSE_UM, "{text}: {seen:?}, not {x_um} and {y_um} um");
         }
-        rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0")?;
-        rig.cnc.send_command("teleop", "on", true)?;
+        rig.cnc.send_request_with_argument("mdi", "text", "G53 G0 X0 Y0")?;
+        rig.cnc.send_request_with_argument("teleop", "on", true)?;
         Ok(())
     })
 }

@@ -120,15 +120,15 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
     bridge.grow_to(0.0);
     let files = [("trueup_gantry.toml", MACHINE), ("trueup_sim.tbl", TABLE)];
     let mut cnc = control::start_with(linuxcnc, "trueup_sim.ini", &bridge.address(), &files)?;
-    cnc.halcmd("net trueup-tool iocontrol.0.tool-number => trueup.0.tool")?;
+    cnc.run_halcmd("net trueup-tool iocontrol.0.tool-number => trueup.0.tool")?;
     cnc.power_on_and_home()?;
     let mut seen: Vec<[f64; 2]> = Vec::new();
     for tool in [1, 2, 3, 1, 3, 2] {
-        cnc.send_command("mdi", "text", "M5")?;
-        cnc.send_command("mdi", "text", format!("T{tool} M6"))?;
+        cnc.send_request_with_argument("mdi", "text", "M5")?;
+        cnc.send_request_with_argument("mdi", "text", format!("T{tool} M6"))?;
         let is_there = |pins: &[f64]| pins[0] == f64::from(tool);
         cnc.wait_for_pins("the tool", 10, &["iocontrol.0.tool-number"], is_there)?;
-        cnc.send_command("mdi", "text", format!("S{RPM} M3"))?;
+        cnc.send_request_with_argument("mdi", "text", format!("S{RPM} M3"))?;
         let part = live(&mut cnc, &bridge, &mut metal, COMES)?;
         let of = |n: usize| rms(&part.iter().map(|sample| sample[n]).collect::<Vec<f64>>());
         println!("tool {tool}: grown {:.2} um, left {:.3} um", of(0), of(1));

@@ -24,7 +24,7 @@ use serde_json::Value;
 use trueup_emulator::{
     host_programs,
     linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
-    setup::{self, LinuxCnc},
+    setup::{self, LockedLinuxCnc},
 };
 use trueup_twin::{
     Scenario,
@@ -126,7 +126,11 @@ duration_s = 1.0
 ";
 
 /// LinuxCNC in a folder of its own; with the bridge where there is a `machine` file for it.
-fn start(control: LinuxCnc, machine: Option<&str>, program: &str) -> Result<HeadlessLinuxCnc> {
+fn start(
+    control: LockedLinuxCnc,
+    machine: Option<&str>,
+    program: &str,
+) -> Result<HeadlessLinuxCnc> {
     let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
@@ -176,16 +180,16 @@ fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
         ensure!(cnc.read_pin("motion.feed-inhibit")? == 0.0, "the feed is held");
         // Until then it was, and LinuxCNC has a message of it for the operator: one is taken at each look.
         for _ in 0..MESSAGES {
-            cnc.is_busy().ok();
+            cnc.is_program_running().ok();
         }
     }
     // From the centre the first two stops would be one for the screen.
-    cnc.send_command("mdi", "text", "G53 G0 X-20 Y-10")?;
+    cnc.send_request_with_argument("mdi", "text", "G53 G0 X-20 Y-10")?;
     cnc.start_program(PROGRAM)?;
     let begun = Instant::now();
-    while cnc.is_busy()? {
-        if cnc.is_stopped()? {
-            cnc.resume()?;
+    while cnc.is_program_running()? {
+        if cnc.is_program_paused()? {
+            cnc.resume_program()?;
         }
         ensure!(begun.elapsed() < TIMEOUT, "{PROGRAM} does not end: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(100));

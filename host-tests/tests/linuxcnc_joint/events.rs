@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
 use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
 use trueup_linuxcnc::{
-    hal::is_alive,
+    hal::is_process_alive,
     status::{describe_status, parse},
 };
 
@@ -46,7 +46,7 @@ pub(crate) fn programs(rig: &mut Rig) -> Result<()> {
 /// An abort stops the program and not the offsets.
 pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
     for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
-        rig.cnc.send_command("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.cnc.send_request_with_argument("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
         rig.bridge.set_offset(um);
         thread::sleep(Duration::from_millis(400));
         rig.cnc.send_request(&json!({"do": "abort"}))?;
@@ -60,9 +60,9 @@ pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
 /// The offset is held while the machine is off, and goes on from there.
 pub(crate) fn power(rig: &mut Rig) -> Result<()> {
     for state in ["estop", "off"] {
-        rig.cnc.send_command("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.cnc.send_request_with_argument("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
         thread::sleep(Duration::from_millis(300));
-        rig.cnc.send_command("state", "name", state)?;
+        rig.cnc.send_request_with_argument("state", "name", state)?;
         let held =
             rig.cnc.read_pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
         rig.bridge.set_offset([-30.0, 0.0, 0.0]);
@@ -88,9 +88,9 @@ pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
     let drive = rig.cnc.read_pin("trueup-j0.out")?;
     // The goal is sent so shortly before that the offset is still on its way: held is what acts.
     rig.bridge.set_offset([190.0, -20.0, 40.0]);
-    rig.cnc.send_command("home", "joint", 0)?;
+    rig.cnc.send_request_with_argument("home", "joint", 0)?;
     rig.bridge.set_offset([10.0, -20.0, 40.0]);
-    rig.cnc.send_command("teleop", "on", true)?;
+    rig.cnc.send_request_with_argument("teleop", "on", true)?;
     rig.applied([10.0, -20.0, 40.0])?;
     rig.mdi("G53 G0 X-10 Y0")?;
     let again = rig.cnc.read_pin("trueup-j0.out")?;
@@ -144,12 +144,12 @@ fn stands_whatever_the_goal(rig: &mut Rig, names: &[&str]) -> Result<()> {
     let goal = rig.cnc.read_pin("trueup-mv.offset-in-0")?;
     let before = rig.cnc.read_pins(names)?;
     for mm in [goal + 0.15, goal - 0.15] {
-        rig.cnc.halcmd(&format!("sets {GOAL} {mm}"))?;
+        rig.cnc.run_halcmd(&format!("sets {GOAL} {mm}"))?;
         thread::sleep(Duration::from_millis(500));
         let seen = rig.cnc.read_pins(names)?;
         assert_eq!(seen, before, "a goal of {mm} mm, was {goal}");
     }
-    rig.cnc.halcmd(&format!("sets {GOAL} {goal}"))?;
+    rig.cnc.run_halcmd(&format!("sets {GOAL} {goal}"))?;
     Ok(())
 }
 
@@ -162,10 +162,10 @@ pub(crate) fn homed_meanwhile(rig: &mut Rig) -> Result<()> {
         let drive = rig.cnc.read_pin("trueup-j0.out")?;
         end_component(&mut rig.cnc, signal)?;
         let reference = rig.cnc.read_pin("joint.0.motor-offset")?;
-        rig.cnc.send_command("home", "joint", 0)?;
+        rig.cnc.send_request_with_argument("home", "joint", 0)?;
         let new = rig.cnc.read_pin("joint.0.motor-offset")?;
         load_component(&mut rig.cnc, signal)?;
-        rig.cnc.send_command("teleop", "on", true)?;
+        rig.cnc.send_request_with_argument("teleop", "on", true)?;
         rig.applied([10.0, -20.0, 40.0])?;
         rig.mdi("G53 G0 X-10 Y0")?;
         let again = rig.cnc.read_pin("trueup-j0.out")?;
@@ -187,7 +187,7 @@ pub(crate) fn end_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result<
     let done = Command::new("kill").args(["-s", signal, &pid.to_string()]).status()?;
     ensure!(done.success(), "kill -s {signal} {pid}");
     let end = Instant::now() + Duration::from_secs(10);
-    while is_alive(pid) {
+    while is_process_alive(pid) {
         ensure!(Instant::now() < end, "it does not end by {signal}");
         thread::sleep(Duration::from_millis(10));
     }
@@ -197,7 +197,7 @@ pub(crate) fn end_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result<
 /// Loads the component that was ended by this signal again, and waits until it lives.
 pub(crate) fn load_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result<()> {
     let [ini, hal] = ["stock.ini", "trueup.hal"].map(|name| cnc.folder().join(name));
-    cnc.halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
+    cnc.run_halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
         // The wires of one that was killed are still there.
         if signal == "KILL" { Ok(String::new()) } else { Err(error) }
     })?;
@@ -206,7 +206,7 @@ pub(crate) fn load_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result
 
 /// Returns the pins as `trueup linuxcnc status` reads them.
 fn shown(rig: &mut Rig) -> Result<BTreeMap<String, String>> {
-    Ok(parse(&rig.cnc.halcmd("-s show pin trueup.0.")?))
+    Ok(parse(&rig.cnc.run_halcmd("-s show pin trueup.0.")?))
 }
 
 /// At the soft limit the drive does not stay beyond.
@@ -261,8 +261,9 @@ const JOBS: [&str; 6] = [
 /// A probed point lacks the offset, 70 µm on Z: nothing is learned from it, and a touch-off takes nothing off it. `mm` are in
 /// a unit of the machine.
 pub(crate) fn macros(cnc: &mut HeadlessLinuxCnc, mm: f64) -> Result<()> {
-    let mdi =
-        |cnc: &mut HeadlessLinuxCnc, text: &str| cnc.send_command("mdi", "text", text).map(drop);
+    let mdi = |cnc: &mut HeadlessLinuxCnc, text: &str| {
+        cnc.send_request_with_argument("mdi", "text", text).map(drop)
+    };
     let before = cnc.read_pin("axis.z.pos-cmd")?;
     cnc.send_request(&json!({"do": "stat"}))?;
     mdi(cnc, &format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;

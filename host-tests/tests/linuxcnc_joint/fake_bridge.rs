@@ -13,13 +13,13 @@ use std::{
 
 use anyhow::Result;
 use trueup_core::{
-    cnc::{Output, Quality},
+    cnc::{OffsetQuality, Output},
     units::Nanometres,
 };
 use trueup_link::{
     frames::{encode_offset_xy, encode_offset_z},
     slcan::encode_line,
-    status::{self, FrameRejectReason, Item, Status},
+    status::{self, FrameRejectReason, Status, StatusItem},
 };
 
 /// Turns between two reports of its calibration.
@@ -130,14 +130,14 @@ fn speak(mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
             let offset =
                 shared.offset_nm.each_ref().map(|nm| Nanometres(nm.load(Ordering::Relaxed)));
             let output =
-                Output { offset: Some(offset), quality: Quality::Live, ..Output::default() };
+                Output { offset: Some(offset), quality: OffsetQuality::Live, ..Output::default() };
             for frame in [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)] {
                 stream.write_all(encode_line(&frame).as_bytes())?;
             }
             counter = counter.wrapping_add(1);
             let calibration = shared.calibration.load(Ordering::Relaxed);
             if calibration != 0 && turns.is_multiple_of(STATUS_TURNS) {
-                let item = Item::Calibration(calibration);
+                let item = StatusItem::Calibration(calibration);
                 let reported = status::encode(
                     &Status { last_refused: FrameRejectReason::None, item },
                     statuses,

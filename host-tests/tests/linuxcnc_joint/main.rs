@@ -24,8 +24,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, Sampler},
-    setup::{self, LinuxCnc},
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
+    setup::{self, LockedLinuxCnc},
 };
 
 use self::{
@@ -53,7 +53,7 @@ struct Rig {
     cnc: HeadlessLinuxCnc,
     bridge: FakeBridge,
     cycles: Receiver<Option<Cycle>>,
-    _sampler: Sampler,
+    _sampler: SamplerGuard,
 }
 
 fn tool(words: &[&str], code: i32) -> Result<String> {
@@ -101,7 +101,7 @@ fn joint_signals() -> Vec<String> {
 /// Starts LinuxCNC with this configuration, which is checked, set up, taken out to the byte, and set up again. The
 /// machine file has this slew limit, in mm/s.
 fn stock(
-    control: LinuxCnc,
+    control: LockedLinuxCnc,
     ini: &str,
     by: &str,
     slew: f64,
@@ -171,7 +171,7 @@ impl Rig {
     }
 
     fn mdi(&mut self, text: &str) -> Result<()> {
-        self.cnc.send_command("mdi", "text", text).map(drop)
+        self.cnc.send_request_with_argument("mdi", "text", text).map(drop)
     }
 
     /// Returns the cycles since the last call.
@@ -240,7 +240,7 @@ fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
     cnc.power_on_and_home()?;
-    cnc.halcmd(&format!("setp probe.in1 {}", SURFACE / MM))?;
+    cnc.run_halcmd(&format!("setp probe.in1 {}", SURFACE / MM))?;
     bridge.set_offset([50.0, -20.0, 70.0]);
     cnc.wait_for_pins(
         "the offset acts",
@@ -298,7 +298,7 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
         let um = [10.0, -20.0, -20.0, 40.0];
         seen.iter().zip(um).all(|(now, um)| (now * MM * 1e3 - um).abs() < 0.02)
     })?;
-    cnc.send_command("mdi", "text", "G53 G0 X1 Y1 Z-1")?;
+    cnc.send_request_with_argument("mdi", "text", "G53 G0 X1 Y1 Z-1")?;
     let seen =
         cnc.read_pins(&["trueup-j1.out", "trueup-j2.out", "trueup-j3.out", "trueup.0.applied"])?;
     let expected = [1.0 - 0.02 / MM, 1.0 - 0.02 / MM, -1.0 + 0.04 / MM, 1.0];

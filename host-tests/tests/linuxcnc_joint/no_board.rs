@@ -12,11 +12,11 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, Sampler},
-    setup::{self, LinuxCnc},
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
+    setup::{self, LockedLinuxCnc},
 };
 
-use trueup_store::retained::{self, COPY_SIZE};
+use trueup_store::retained::{self, RETAINED_COPY_SIZE};
 
 use super::{
     stock_files::{OWN, ini},
@@ -82,7 +82,7 @@ pub(crate) fn install(folder: &Path) -> Result<()> {
 }
 
 /// Starts a stock configuration, which is checked, set up, taken out to the byte, and set up again.
-pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<HeadlessLinuxCnc> {
+pub(crate) fn start(control: LockedLinuxCnc, by: &str, period_us: u32) -> Result<HeadlessLinuxCnc> {
     let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
@@ -129,9 +129,9 @@ pub(crate) fn is_live(cnc: &mut HeadlessLinuxCnc) -> Result<()> {
 }
 
 /// Records a joint, what the component asks for, and what acts.
-fn record(cnc: &mut HeadlessLinuxCnc, joint: usize) -> Result<(Sampler, Receiver<Cycle>)> {
+fn record(cnc: &mut HeadlessLinuxCnc, joint: usize) -> Result<(SamplerGuard, Receiver<Cycle>)> {
     for (pin, signal) in ["cmd", "offset", "now"].iter().enumerate() {
-        cnc.halcmd(&format!("net trueup-j{joint}-{signal} => sampler.0.pin.{pin}"))?;
+        cnc.run_halcmd(&format!("net trueup-j{joint}-{signal} => sampler.0.pin.{pin}"))?;
     }
     let (sampler, lines) = cnc.start_sampler()?;
     let (sender, cycles) = mpsc::channel();
@@ -173,10 +173,10 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     let (_sampler, cycles) = record(&mut cnc, 0)?;
     is_live(&mut cnc)?;
     // Taken here, the sensor's elongation is the reference: Z stays.
-    cnc.send_command("mdi", "text", "G53 G0 X-44")?;
+    cnc.send_request_with_argument("mdi", "text", "G53 G0 X-44")?;
     cycles.try_iter().for_each(drop);
     for x in [44, -44, 44] {
-        cnc.send_command("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
+        cnc.send_request_with_argument("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
     }
     let cycles: Vec<Cycle> = cycles.try_iter().collect();
     let (goal, act) = (lag(&cycles, |cycle| cycle.goal_um), lag(&cycles, |cycle| cycle.now_um));
@@ -188,7 +188,7 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     ensure!(act.0 <= 1 && act.1 < 0.1, "{act:?}");
     let heat = cnc.folder().join("trueup_heat.bin");
     let bytes = fs::read(&heat).with_context(|| format!("{} is kept", heat.display()))?;
-    let mut copies = [[0; COPY_SIZE]; 2];
+    let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
     copies.as_flattened_mut().copy_from_slice(&bytes);
     ensure!(retained::load(&copies).is_some(), "a copy of the heat is whole");
     cnc.close()
@@ -232,7 +232,7 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
             ("G53 G1 F1500 Y0", -0.05, -0.006),
             ("G53 G1 F1500 X-42 Y5", -0.08, 0.0),
         ] {
-            cnc.send_command("mdi", "text", line)?;
+            cnc.send_request_with_argument("mdi", "text", line)?;
             cnc.wait_for_pins(line, 10, &names, |seen| {
                 (seen[0] - x_mm).abs() < 2e-5 && (seen[1] - y_mm).abs() < 2e-5 && seen[2] == 1.0
             })?;
@@ -260,7 +260,7 @@ fn without_a_board_external_offsets_act_at_half_a_millisecond() -> Result<()> {
     for (line, x_mm, y_mm) in
         [("G53 G1 F1500 X-45 Y5", -0.05, 0.0), ("G53 G1 F1500 Y0", -0.05, -0.006)]
     {
-        cnc.send_command("mdi", "text", line)?;
+        cnc.send_request_with_argument("mdi", "text", line)?;
         cnc.wait_for_pins(line, 10, &names, |seen| {
             (seen[0] - x_mm).abs() < 2e-5 && (seen[1] - y_mm).abs() < 2e-5 && seen[2] == 1.0
         })?;

@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_emulator::linuxcnc::headless::{HeadlessLinuxCnc, Sampler};
+use trueup_emulator::linuxcnc::headless::{HeadlessLinuxCnc, SamplerGuard};
 
 use super::CYCLE_S;
 
@@ -66,9 +66,9 @@ impl Cycle {
 pub(crate) fn record(
     cnc: &mut HeadlessLinuxCnc,
     signals: &[impl AsRef<str>],
-) -> Result<(Sampler, Receiver<Option<Cycle>>)> {
+) -> Result<(SamplerGuard, Receiver<Option<Cycle>>)> {
     for (pin, signal) in signals.iter().enumerate() {
-        cnc.halcmd(&format!("net {} => sampler.0.pin.{pin}", signal.as_ref()))?;
+        cnc.run_halcmd(&format!("net {} => sampler.0.pin.{pin}", signal.as_ref()))?;
     }
     let (sampler, lines) = cnc.start_sampler()?;
     let (sender, cycles) = mpsc::channel();

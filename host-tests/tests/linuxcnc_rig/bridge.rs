@@ -73,7 +73,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl RigBridge {
     /// Boots the board for this machine; its line is plugged in.
     pub fn start(machine: &Machine) -> Result<Self> {
-        let image = firmware::build_virtual()?;
+        let image = firmware::build_virtual_board_image()?;
         let calibration = compile(machine)?.blob().to_vec();
         let divider = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
         let divider = divider.context("a machine with a sensor")?.divider;

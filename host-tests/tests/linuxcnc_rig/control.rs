@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use trueup_emulator::{
     host_programs,
     linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
-    setup::{self, LinuxCnc},
+    setup::{self, LockedLinuxCnc},
 };
 
 /// Recorder of every servo cycle; see [`super::samples`].
@@ -38,11 +38,15 @@ const INCLUDED: &str = "trueup_machine.inc";
 const LATE: [&str; 2] = ["net scenario screen.scenario", "net trueup-zero screen.zero"];
 
 /// Starts it with the bridge at this address, and with these files next to the samples.
-pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result<HeadlessLinuxCnc> {
+pub fn start(
+    linuxcnc: LockedLinuxCnc,
+    bridge: &str,
+    files: &[(&str, &str)],
+) -> Result<HeadlessLinuxCnc> {
     let recorder = ("recorder.hal", RECORDER);
     let mut cnc = start_with(linuxcnc, "trueup_sim.ini", bridge, &[&[recorder], files].concat())?;
     for words in LATE {
-        cnc.halcmd(words)?;
+        cnc.run_halcmd(words)?;
     }
     Ok(cnc)
 }
@@ -50,7 +54,7 @@ pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result
 /// Starts this sample configuration, with these files next to the samples; `FOLDER` in them is where they are. A
 /// `recorder.hal` among them is loaded.
 pub fn start_with(
-    linuxcnc: LinuxCnc,
+    linuxcnc: LockedLinuxCnc,
     ini: &str,
     bridge: &str,
     files: &[(&str, &str)],

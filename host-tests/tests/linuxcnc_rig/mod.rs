@@ -102,10 +102,10 @@ impl Rig {
         self.bridge.plug(true);
         self.bridge.grow_to(GROWN_UM);
         self.cnc.send_request(&json!({"do": "abort"}))?;
-        self.cnc.send_command("zero", "on", false)?;
+        self.cnc.send_request_with_argument("zero", "on", false)?;
         self.cnc.power_on_and_home()?;
-        self.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-        self.cnc.send_command("teleop", "on", true)?;
+        self.cnc.send_request_with_argument("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+        self.cnc.send_request_with_argument("teleop", "on", true)?;
         if self.applied_within(8, GROWN_UM).is_ok() {
             return Ok(());
         }
@@ -120,9 +120,9 @@ impl Rig {
         self.bridge.grow_to(growth_um);
         // The sensor's filter, and a busy computer.
         std::thread::sleep(std::time::Duration::from_secs(1));
-        self.cnc.send_command("zero", "on", true)?;
+        self.cnc.send_request_with_argument("zero", "on", true)?;
         self.applied_at(0.0)?;
-        self.cnc.send_command("zero", "on", false)?;
+        self.cnc.send_request_with_argument("zero", "on", false)?;
         Ok(())
     }
 
@@ -177,14 +177,14 @@ impl Rig {
     /// From here on cycles belong to a new scenario.
     pub fn begin(&mut self) -> Result<()> {
         self.scenario += 1;
-        self.cnc.send_command("mark", "scenario", self.scenario)?;
+        self.cnc.send_request_with_argument("mark", "scenario", self.scenario)?;
         Ok(())
     }
 
     /// Returns every servo cycle since [`Rig::begin`]. The recorder writes behind, so it is waited for.
     pub fn cycles(&mut self) -> Result<Vec<Sample>> {
         let number = self.scenario;
-        self.cnc.send_command("mark", "scenario", 0)?;
+        self.cnc.send_request_with_argument("mark", "scenario", 0)?;
         let recording = self.cnc.folder().join(control::RECORDING);
         let mut all = Vec::new();
         let end = std::time::Instant::now() + std::time::Duration::from_secs(10);

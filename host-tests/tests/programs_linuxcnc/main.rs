@@ -27,17 +27,17 @@ use cycles::Cycles;
 use stops::begin_and_pass_the_stop;
 use trueup_emulator::{
     linuxcnc::{
-        headless::{HeadlessLinuxCnc, Sampler},
+        headless::{HeadlessLinuxCnc, SamplerGuard},
         simulated_joints::{self, AxisIniLines},
     },
-    setup::{self, LinuxCnc},
+    setup::{self, LockedLinuxCnc},
 };
-use trueup_fit::{Report, pitch, straightness, straightness_report, thermal, warmup};
+use trueup_fit::{FitReport, pitch, straightness, straightness_report, thermal, warmup};
 use trueup_machine::{
     Machine as Believed, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, writer::Edit},
-    model::{pitch_um, spline_um},
+    file::{LinearAxis, writer::MachineFileEdit},
+    model::{pitch_error_um, spline_value_um},
 };
 use trueup_program::{
     Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, control, create_plans,
@@ -177,7 +177,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         }
         // A loaded computer falls behind with what the recorder says: the program may have ended before.
         if silent_s > TIMEOUT_S as f64 {
-            let (is_busy, log) = (cnc.is_busy(), cnc.recent_log());
+            let (is_busy, log) = (cnc.is_program_running(), cnc.recent_log());
             bail!(
                 "{}: no reading at {reading:?}; LinuxCNC stands at {position_mm:?}, busy {is_busy:?}, stood \
                  at {stands:?}\n{log}",
@@ -186,7 +186,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         }
     }
     let read = Instant::now();
-    while cnc.is_busy()? {
+    while cnc.is_program_running()? {
         ensure!(
             read.elapsed().as_secs() < TIMEOUT_S,
             "{} does not end: {}",
@@ -203,7 +203,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
 struct Rig {
     cnc: HeadlessLinuxCnc,
     cycles: Cycles,
-    recorder: Sampler,
+    recorder: SamplerGuard,
 }
 
 impl Rig {
@@ -213,11 +213,11 @@ impl Rig {
     }
 }
 
-fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
+fn start(linuxcnc: LockedLinuxCnc) -> Result<Rig> {
     start_with(linuxcnc, RECORDER)
 }
 
-fn start_with(linuxcnc: LinuxCnc, hal: &str) -> Result<Rig> {
+fn start_with(linuxcnc: LockedLinuxCnc, hal: &str) -> Result<Rig> {
     let axes = TRAVEL_MM.map(|travel_mm| AxisIniLines {
         limits: format!(
             "MIN_LIMIT = -0.0001\nMAX_LIMIT = {}\nMAX_VELOCITY = 5000\nMAX_ACCELERATION = 50000\n",
@@ -264,7 +264,7 @@ fn made(kind: MeasurementKind, options: &MeasurementOptions) -> Result<Vec<Plan>
     Ok(create_plans(kind, &believed(), options)?.0)
 }
 
-fn machine_of(edits: &[&Edit]) -> Result<Believed> {
+fn machine_of(edits: &[&MachineFileEdit]) -> Result<Believed> {
     let mut text = BELIEVED.to_string();
     for edit in edits {
         text = edit.apply(&text, Path::new("m.toml"))?;
@@ -272,7 +272,7 @@ fn machine_of(edits: &[&Edit]) -> Result<Believed> {
     Ok(MachineFile::parse(&text, Path::new("m.toml"))?)
 }
 
-fn holds(report: &Report, name: &str, truth: f64) {
+fn holds(report: &FitReport, name: &str, truth: f64) {
     let found = report.parameter(name).unwrap_or_else(|| panic!("{name}: {report:?}"));
     println!("{found}; true {truth}");
     let [low, high] = found.ci95.expect("it was fitted");
@@ -322,7 +322,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
         .readings()
         .iter()
         .filter_map(|reading| reading.position_mm[1])
-        .map(|mm| pitch_um(&table, mm, 1.0) - truth(mm))
+        .map(|mm| pitch_error_um(&table, mm, 1.0) - truth(mm))
         .collect();
     // A point of the table rests on ten readings; four standard errors of one.
     let largest = off.iter().fold(0.0_f64, |largest, um| largest.max(um.abs()));
@@ -363,7 +363,7 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
     assert_eq!(fitted.straightness.len(), 2);
     let at = |axis: LinearAxis, mm: f64| {
         let curve = fitted.straightness.iter().find(|curve| curve.along == axis);
-        curve.map_or(f64::NAN, |curve| spline_um(&curve.spline, mm))
+        curve.map_or(f64::NAN, |curve| spline_value_um(&curve.spline, mm))
     };
     let once = MeasurementOptions { repeats: Some(1), ..options(&[X, Y]) };
     let plan = made(MeasurementKind::Diagonal, &once)?.remove(0);

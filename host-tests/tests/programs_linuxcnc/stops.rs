@@ -9,7 +9,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, Plan, arc::Arc, control, plan::Step,
+    Control, MeasurementKind, MeasurementOptions, Plan, arc::ArcMove, control, plan::Step,
 };
 
 use crate::{RECORDER, Rig, TIMEOUT_S, X, Y, cycles::Cycles, made, options, start_with, touches};
@@ -32,7 +32,7 @@ pub fn begin_and_pass_the_stop(
     cycles.wait_for_stand(&before)?;
     cnc.start_program(program)?;
     let begun = Instant::now();
-    while !cnc.is_stopped()? {
+    while !cnc.is_program_paused()? {
         ensure!(
             begun.elapsed().as_secs() < TIMEOUT_S,
             "{program} does not stop: {}",
@@ -42,10 +42,13 @@ pub fn begin_and_pass_the_stop(
     }
     thread::sleep(Duration::from_millis(200));
     let stood = cnc.read_pins(&COMMANDED)?;
-    ensure!(stood == before && cnc.is_stopped()?, "{program} moved from {before:?} to {stood:?}");
+    ensure!(
+        stood == before && cnc.is_program_paused()?,
+        "{program} moved from {before:?} to {stood:?}"
+    );
     let moved = cycles.first_elsewhere(&before)?;
     ensure!(moved.is_none(), "{program} moved from {before:?} to {moved:?} before its stop");
-    cnc.resume()
+    cnc.resume_program()
 }
 
 /// Where the programs of all kinds may move, in mm; Z is 2500 mm high.
@@ -73,10 +76,10 @@ fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
             let [x, y, z, _] = cycles.next()?;
             seen.push([x, y, z]);
         }
-        if cnc.is_stopped()? {
-            cnc.resume()?;
+        if cnc.is_program_paused()? {
+            cnc.resume_program()?;
         }
-        more = if cnc.is_busy()? { LATE } else { more - 1 };
+        more = if cnc.is_program_running()? { LATE } else { more - 1 };
         ensure!(begun.elapsed() < PROGRAM, "{name} does not end: {}", cnc.recent_log());
     }
     Ok(seen)
@@ -128,7 +131,7 @@ fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
 }
 
 /// Returns where an arc begins: at the last places that its axes are sent to before.
-fn plan_start(plan: &Plan, arc: &Arc) -> [f64; 3] {
+fn plan_start(plan: &Plan, arc: &ArcMove) -> [f64; 3] {
     let mut mm = [0.0; 3];
     for step in plan.steps.iter().take_while(|step| !matches!(step, Step::Arc(it) if it == arc)) {
         match step {

@@ -56,9 +56,9 @@ pub fn check_sphere(rig: &mut Rig) -> Result<()> {
     let log = cnc.folder().join("sphere-xyz.csv");
     let logged = text.replace("(LOGOPEN,", &format!("(LOGOPEN,{}/", cnc.folder().display()));
     fs::write(cnc.folder().join(&name), logged)?;
-    cnc.halcmd(&format!("setp touch.in1 {}", (WIDE_MM[0] + WIDE_MM[1]) / 2.0))?;
+    cnc.run_halcmd(&format!("setp touch.in1 {}", (WIDE_MM[0] + WIDE_MM[1]) / 2.0))?;
     for job in ["G53 G0 Z2290", "G21 G90 G10 L2 P1 X7 Y-3 Z20", "G92 X5 Z-8"] {
-        cnc.send_command("mdi", "text", job)?;
+        cnc.send_request_with_argument("mdi", "text", job)?;
     }
     run(cnc, &name)?;
     let text = fs::read_to_string(&log).with_context(|| cnc.recent_log())?;
@@ -70,7 +70,7 @@ pub fn check_sphere(rig: &mut Rig) -> Result<()> {
         ensure!((found + 1000.0 * off).abs() < LATE_UM, "{row}, and it is off by {OFF_MM:?} mm");
     }
     // Something in the way ends it, and no row is written.
-    cnc.halcmd("setp dz.offset -2222")?;
+    cnc.run_halcmd("setp dz.offset -2222")?;
     run(cnc, &name)?;
     let text = fs::read_to_string(&log)?;
     ensure!(text.lines().count() < 2, "it goes on: {text}");
@@ -81,12 +81,12 @@ pub fn check_sphere(rig: &mut Rig) -> Result<()> {
 fn run(cnc: &mut HeadlessLinuxCnc, name: &str) -> Result<()> {
     cnc.start_program(name)?;
     let begun = Instant::now();
-    while !cnc.is_stopped()? {
+    while !cnc.is_program_paused()? {
         ensure!(begun.elapsed().as_secs() < TIMEOUT_S, "it does not stop: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(5));
     }
-    cnc.resume()?;
-    while cnc.is_busy()? {
+    cnc.resume_program()?;
+    while cnc.is_program_running()? {
         ensure!(begun.elapsed().as_secs() < 3 * TIMEOUT_S, "it does not end: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(20));
     }

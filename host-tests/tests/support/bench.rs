@@ -43,7 +43,7 @@ pub struct Bench {
 
 impl Bench {
     pub fn boot(calibration: &CompiledCalibration) -> Self {
-        let image = firmware::build_virtual().expect("the image builds");
+        let image = firmware::build_virtual_board_image().expect("the image builds");
         let board = VirtualBoard::boot(&image, calibration.blob()).expect("the board boots");
         Self::around(image, board)
     }

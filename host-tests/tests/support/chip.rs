@@ -26,12 +26,12 @@ pub struct Chip {
 impl Chip {
     /// Returns the image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_for_machine)
+        Self::built(text, firmware::build_image_for_machine)
     }
 
     /// Returns the same that breaks on command.
     pub fn that_breaks(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_with_fault_injection)
+        Self::built(text, firmware::build_image_with_fault_injection)
     }
 
     fn built(text: &str, build: fn(&Path) -> Result<PathBuf>) -> Result<Option<Self>> {

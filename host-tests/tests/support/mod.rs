@@ -84,7 +84,7 @@ pub fn xtask() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
         let build = || {
-            firmware::build_virtual()?;
+            firmware::build_virtual_board_image()?;
             host_programs::build_program("xtask", "xtask")
         };
         build().map_err(|error| format!("{error:#}"))

@@ -7,7 +7,7 @@ use trueup_boot::start::ClockSpeed;
 /// five: ten times that.
 const MAX_POLLS: u32 = 10_000;
 /// Wait states at up to 150 MHz and from 2.7 V on (section 3.5.1, table 10).
-const WAIT_STATES: u32 = 4;
+const FLASH_WAIT_STATES: u32 = 4;
 /// FLASH_ACR: instruction and data cache on; prefetch; the resets of the caches.
 const CACHE_ENABLE_BITS: u32 = 1 << 9 | 1 << 10;
 const PREFETCH_ENABLE: u32 = 1 << 8;
@@ -36,8 +36,8 @@ pub fn start(rcc: &RCC, flash: &FLASH, dbgmcu: &DBGMCU) -> ClockSpeed {
         rcc.cr().modify(|_, w| w.pllon().off());
         return ClockSpeed::Slow;
     }
-    write_acr(flash, fast | WAIT_STATES);
-    if !poll_until(|| flash.acr().read().bits() & 7 == WAIT_STATES) {
+    write_acr(flash, fast | FLASH_WAIT_STATES);
+    if !poll_until(|| flash.acr().read().bits() & 7 == FLASH_WAIT_STATES) {
         return ClockSpeed::Slow;
     }
     write_cfgr(rcc, BUS_PRESCALERS);

@@ -34,7 +34,7 @@ const DATA_CACHE_RESET: u32 = 1 << 12;
 const MAX_BUSY_POLLS: u32 = 100_000;
 
 /// A part of the flash: two units of `UNIT` bytes.
-pub struct Region<const UNIT: u32> {
+pub struct FlashRegion<const UNIT: u32> {
     controller: FLASH,
     start: u32,
     /// The sectors of each unit: the first, and how many.
@@ -42,9 +42,9 @@ pub struct Region<const UNIT: u32> {
 }
 
 /// The two sectors of the records.
-pub type Records = Region<RECORDS_SECTOR_SIZE>;
+pub type Records = FlashRegion<RECORDS_SECTOR_SIZE>;
 /// The two slots.
-pub type Slots = Region<SLOT_SIZE>;
+pub type Slots = FlashRegion<SLOT_SIZE>;
 
 /// Returns records and slots. They are used one after the other.
 #[allow(unsafe_code, reason = "registers of the flash")]
@@ -52,11 +52,11 @@ pub fn split(controller: FLASH) -> (Records, Slots) {
     // SAFETY: the caller has both, and uses them one after the other.
     let second = unsafe { FLASH::steal() };
     let sectors = [(FIRST_RECORDS_SECTOR, 1), (FIRST_RECORDS_SECTOR + 1, 1)];
-    let records = Region { controller, start: RECORDS_START, sectors };
-    (records, Region { controller: second, start: SLOTS_START, sectors: SLOT_SECTORS })
+    let records = FlashRegion { controller, start: RECORDS_START, sectors };
+    (records, FlashRegion { controller: second, start: SLOTS_START, sectors: SLOT_SECTORS })
 }
 
-impl<const UNIT: u32> Region<UNIT> {
+impl<const UNIT: u32> FlashRegion<UNIT> {
     /// Returns the controller, for the wait states.
     #[allow(dead_code, reason = "the boot program's alone")]
     pub fn controller(&self) -> &FLASH {
@@ -127,11 +127,11 @@ impl<const UNIT: u32> Region<UNIT> {
     }
 }
 
-impl<const UNIT: u32> ErrorType for Region<UNIT> {
+impl<const UNIT: u32> ErrorType for FlashRegion<UNIT> {
     type Error = NorFlashErrorKind;
 }
 
-impl<const UNIT: u32> ReadNorFlash for Region<UNIT> {
+impl<const UNIT: u32> ReadNorFlash for FlashRegion<UNIT> {
     const READ_SIZE: usize = 4;
 
     #[inline(never)]
@@ -152,7 +152,7 @@ impl<const UNIT: u32> ReadNorFlash for Region<UNIT> {
     }
 }
 
-impl<const UNIT: u32> NorFlash for Region<UNIT> {
+impl<const UNIT: u32> NorFlash for FlashRegion<UNIT> {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = UNIT as usize;
 

@@ -4,9 +4,9 @@
 use std::borrow::Cow;
 
 use serde::Serialize;
-use trueup_fit::{Report, elongation, thermal, warmup};
+use trueup_fit::{FitReport, elongation, thermal, warmup};
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile,
+    InputFileError, Machine, MachineFile, RunFile,
     applied_offsets::{FactorEstimate, UncompensatedRun},
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
@@ -56,11 +56,11 @@ impl Advice {
 ///
 /// # Errors
 /// The run without compensation cannot be compared with the machine file.
-pub(crate) fn advise(
+pub(crate) fn recommend_changes(
     pair: &PairedReadings,
     off: &RunFile,
     believed: Option<(&str, &Machine)>,
-) -> Result<(Advice, Option<String>), BadInput> {
+) -> Result<(Advice, Option<String>), InputFileError> {
     let mut advice =
         Advice { sentences: vec![describe_corrected_share(pair)], changes: Vec::new() };
     let Some((source, machine)) = believed else {
@@ -97,7 +97,7 @@ pub(crate) fn advise(
         let ci95 = report.parameter(key).and_then(|change| change.ci95);
         if (to - from).abs() > MIN_RELATIVE_CHANGE * from.abs().max(to.abs()) {
             let key = format!("{section}.{key}");
-            advice.sentences.push(describe_change(&key, from, to, ci95));
+            advice.sentences.push(describe_constant_change(&key, from, to, ci95));
             advice.changes.push(ConstantChange { key, from, to, ci95 });
         }
     }
@@ -138,7 +138,7 @@ fn describe_corrected_share(pair: &PairedReadings) -> String {
     }
 }
 
-fn describe_change(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
+fn describe_constant_change(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
     let (shown, interval) = match ci95 {
         Some(ci95) => {
             let [to, low, high] = format_with_interval(to, ci95);
@@ -164,7 +164,7 @@ fn fit_section_constants(
     pair: &PairedReadings,
     machine: &Machine,
     runs: &[UncompensatedRun<'_>],
-) -> Result<Option<(String, Report)>, BadInput> {
+) -> Result<Option<(String, FitReport)>, InputFileError> {
     let Some(axis) = pair.quantity.axis() else {
         return Ok(match machine.spindle.source {
             Some(ElongationSource::Warmup) => {

@@ -13,7 +13,7 @@ mod paired_readings;
 
 use serde::Serialize;
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     applied_offsets::{FactorEstimate, OffsetApplication},
     file::Quantity,
 };
@@ -21,7 +21,7 @@ use trueup_numerics::line::ErrorStatistics;
 
 pub use advice::{Advice, ConstantChange};
 use paired_readings::{PairedReadings, RunSegment};
-pub use trueup_page::Origin;
+pub use trueup_page::Provenance;
 
 /// Requirements of an acceptance test.
 #[derive(Clone, Copy, Debug)]
@@ -113,14 +113,14 @@ impl AcceptanceResult {
 
     /// Returns the printable page, of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
-    pub fn render_html(&self, name: &str, origin: &Origin, next: &[String]) -> String {
+    pub fn render_html(&self, name: &str, origin: &Provenance, next: &[String]) -> String {
         page::render_html(self, name, origin, next)
     }
 
     /// Returns the error in both runs as a picture that stands alone, SVG.
     #[must_use]
     pub fn render_chart_svg(&self) -> String {
-        page::build_chart(self).standalone_svg()
+        page::build_error_chart(self).to_standalone_svg()
     }
 }
 
@@ -136,7 +136,7 @@ pub fn evaluate_acceptance(
     quantity: Option<Quantity>,
     believed: Option<(&str, &Machine)>,
     limits: AcceptanceCriteria,
-) -> Result<AcceptanceResult, BadInput> {
+) -> Result<AcceptanceResult, InputFileError> {
     let mut pair =
         PairedReadings::from_runs(off, on, quantity, believed.map(|(_, machine)| machine))?;
     let (before, after) =
@@ -168,12 +168,12 @@ pub fn evaluate_acceptance(
         _ => None,
     };
     unmet.extend(wrong.as_ref().map(FactorEstimate::describe));
-    pair.notes.extend(unknown_factor_note(applied));
+    pair.notes.extend(unknown_offset_factor_note(applied));
     let passed = unmet.is_empty();
     let (advice, adjusted) = match wrong {
         Some(_) => (Advice::cnc_troubleshooting(), None),
         None if passed => (Advice::no_change(), None),
-        None => advice::advise(&pair, off, believed)?,
+        None => advice::recommend_changes(&pair, off, believed)?,
     };
     Ok(AcceptanceResult {
         passed,
@@ -197,7 +197,7 @@ pub fn evaluate_acceptance(
 }
 
 /// Returns a note where the runs have offsets and do not show how the machine applies them.
-fn unknown_factor_note(applied: OffsetApplication) -> Option<String> {
+fn unknown_offset_factor_note(applied: OffsetApplication) -> Option<String> {
     let OffsetApplication::Unknown(factor) = applied else { return None };
     let interval = factor.map_or(String::new(), |FactorEstimate { ci95: [low, high], .. }| {
         format!(" (95 %: {low:.2} … {high:.2})").replace('-', "−")

@@ -1,14 +1,14 @@
 //! The printable page: passed or not, what to change, the two runs as a picture, part by part.
 
 use trueup_page::{
-    Chart, Colour, HtmlTable, Origin, Page, Series, choose_time_unit, format_micrometres,
-    format_with_interval,
+    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, choose_time_unit,
+    format_micrometres, format_with_interval,
 };
 
 use crate::{AcceptanceResult, advice::format_four_significant_digits};
 
 /// Returns the error in both runs.
-pub(crate) fn build_chart(it: &AcceptanceResult) -> Chart {
+pub(crate) fn build_error_chart(it: &AcceptanceResult) -> Chart {
     let (unit, divisor) = abscissa_label_and_divisor(it);
     let points =
         |um: &[f64]| it.pair.at.iter().zip(um).map(|(at, um)| [at / divisor, *um]).collect();
@@ -17,8 +17,8 @@ pub(crate) fn build_chart(it: &AcceptanceResult) -> Chart {
         x: unit,
         y: format!("{}, µm", it.quantity),
         series: vec![
-            Series::dots("without", Colour::Before, points(&it.pair.off_um)),
-            Series::dots("with compensation", Colour::After, points(&it.pair.on_um)),
+            ChartSeries::dots("without", ColourRole::Before, points(&it.pair.off_um)),
+            ChartSeries::dots("with compensation", ColourRole::After, points(&it.pair.on_um)),
         ],
     }
 }
@@ -26,7 +26,7 @@ pub(crate) fn build_chart(it: &AcceptanceResult) -> Chart {
 pub(crate) fn render_html(
     it: &AcceptanceResult,
     name: &str,
-    origin: &Origin,
+    origin: &Provenance,
     next: &[String],
 ) -> String {
     let mut page = Page::new(&format!("Acceptance of {name}"));
@@ -51,7 +51,7 @@ pub(crate) fn render_html(
         ),
     ]);
     let (unit, divisor) = abscissa_label_and_divisor(it);
-    page.add_charts(&[build_chart(it).to_figure()]);
+    page.add_charts(&[build_error_chart(it).to_figure()]);
     if !it.advice.changes.is_empty() {
         page.add_heading("Constants to change");
         let mut table = HtmlTable::new(&["constant", "from", "to", "95 %"]);

@@ -6,14 +6,14 @@ use serde::Serialize;
 
 use trueup_compare::compare::common_quantity;
 use trueup_machine::{
-    BadInput, Location, Machine, RunFile,
+    InputFileError, Location, Machine, RunFile,
     applied_offsets::{OffsetApplication, PairedRuns, UncompensatedRun, predict_um},
     file::Quantity,
     tool::TOOL_COLUMN,
 };
 use trueup_numerics::{
     repeats::{self, cycle_numbers, find_gross_errors, group_positions},
-    robust::{MIN_SERIES_ROWS, series_outliers},
+    robust::{MIN_SERIES_ROWS, find_series_outliers},
 };
 
 use crate::ErrorSummary;
@@ -66,7 +66,8 @@ enum Abscissa<'a> {
 
 /// Returns the rows of a time series that leave it alone. A burst counts: what lasts is what the machine does.
 fn find_time_series_outliers(time_s: &[f64], um: &[f64]) -> Vec<usize> {
-    let found: Vec<usize> = series_outliers(time_s, um).iter().map(|outlier| outlier.row).collect();
+    let found: Vec<usize> =
+        find_series_outliers(time_s, um).iter().map(|outlier| outlier.row).collect();
     let is_alone = |row: &&usize| {
         let mut others = found.iter().filter(|other| other != row);
         !others.any(|other| other.abs_diff(**row) <= 2)
@@ -122,7 +123,7 @@ impl RunSeries {
         run: &RunFile,
         quantity: Quantity,
         machine: Option<&Machine>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let measured_um = run.require_column(&format!("measured_{}_um", quantity.name()))?;
         let unaided =
             |machine| UncompensatedRun::from_run(Cow::Borrowed(run), machine, Some(quantity)).ok();
@@ -169,7 +170,7 @@ impl RunSeries {
         })
     }
 
-    fn row(&self, row: usize) -> [f64; 3] {
+    fn values_at_row(&self, row: usize) -> [f64; 3] {
         [self.measured_um[row], self.offset_um[row], self.predicted_um[row]]
     }
 }
@@ -182,7 +183,7 @@ impl PairedReadings {
         on: &RunFile,
         requested: Option<Quantity>,
         machine: Option<&Machine>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let quantity = common_quantity(on, (off, "the run without compensation"), requested)?;
         let side = |run| RunSeries::from_run(run, quantity, machine);
         let mut sides = [side(off)?, side(on)?];
@@ -218,7 +219,7 @@ impl PairedReadings {
             (Some(place), ..) => pair.pair_by_row([off, on], sides, &place)?,
             (None, Some(off_s), Some(on_s)) => {
                 pair.pair_by_time([&off_s, &on_s], sides);
-                pair.compare_operating_conditions([off, on], [&off_s, &on_s], machine);
+                pair.append_condition_difference_notes([off, on], [&off_s, &on_s], machine);
             }
             _ => pair.pair_by_row([off, on], sides, "row")?,
         }
@@ -228,7 +229,7 @@ impl PairedReadings {
                 pair.at.len(),
                 2 * SEGMENT_COUNT
             );
-            return Err(BadInput::new(Location::start_of_file(on.path()), rule));
+            return Err(InputFileError::new(Location::start_of_file(on.path()), rule));
         }
         if quantity.axis().is_some() {
             pair.notes.push(
@@ -260,16 +261,16 @@ impl PairedReadings {
             let next = known.partition_point(|(known_s, _)| known_s < time);
             let before = next.checked_sub(1).and_then(|before| known.get(before));
             let there = match (before, known.get(next)) {
-                (_, Some((at, there))) if at == time => on.row(*there),
+                (_, Some((at, there))) if at == time => on.values_at_row(*there),
                 (Some((a_s, a)), Some((b_s, b))) if b_s > a_s => {
                     let share = (time - a_s) / (b_s - a_s);
-                    let (a, b) = (on.row(*a), on.row(*b));
+                    let (a, b) = (on.values_at_row(*a), on.values_at_row(*b));
                     [0, 1, 2].map(|of| a[of] + (b[of] - a[of]) * share)
                 }
                 // Beyond the shorter of the two nothing is known.
                 _ => continue,
             };
-            self.push(*time, off.row(row), there);
+            self.push(*time, off.values_at_row(row), there);
         }
         let known = off.measured_um.iter().filter(|um| um.is_finite()).count();
         if self.at.len() < known {
@@ -310,7 +311,7 @@ impl PairedReadings {
         [off, on]: [&RunFile; 2],
         sides: &[RunSeries; 2],
         over: &str,
-    ) -> Result<(), BadInput> {
+    ) -> Result<(), InputFileError> {
         if off.row_count() != on.row_count() {
             let rule = format!(
                 "{} rows, but {} has {}: run the same program in both",
@@ -318,7 +319,7 @@ impl PairedReadings {
                 off.path().display(),
                 off.row_count()
             );
-            return Err(BadInput::new(Location::start_of_file(on.path()), rule));
+            return Err(InputFileError::new(Location::start_of_file(on.path()), rule));
         }
         self.over = over.into();
         let places = |run: &RunFile| run.column(over).map(<[f64]>::to_vec);
@@ -336,13 +337,13 @@ impl PairedReadings {
         };
         for row in (0..off.row_count()).filter(is_known) {
             let at = off.column(over).map_or(row as f64, |all| all[row]);
-            self.push(at, is_off.row(row), is_on.row(row));
+            self.push(at, is_off.values_at_row(row), is_on.values_at_row(row));
         }
         Ok(())
     }
 
     /// Notes where the two were not driven alike.
-    fn compare_operating_conditions(
+    fn append_condition_difference_notes(
         &mut self,
         runs: [&RunFile; 2],
         times: [&[f64]; 2],

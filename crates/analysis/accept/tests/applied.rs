@@ -102,7 +102,7 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
         let first = &it.advice.changes[0];
         assert!((first.to / first.from - 1.4).abs() < 0.03, "{first:?}");
         assert!(
-            it.render_html("m", &trueup_accept::Origin::default(), &[])
+            it.render_html("m", &trueup_accept::Provenance::default(), &[])
                 .contains("Constants to change")
         );
     }
@@ -146,7 +146,7 @@ fn the_table_of_constants_has_the_digits_that_the_interval_has() {
     let it =
         evaluate_acceptance(&run(1.0), &run(0.2), None, believed, AcceptanceCriteria::default())
             .expect("comparable");
-    let html = it.render_html("m", &trueup_accept::Origin::default(), &[]);
+    let html = it.render_html("m", &trueup_accept::Provenance::default(), &[]);
     let (_, table) = html.split_once("Constants to change").expect("a table");
     let (table, _) = table.split_once("Part by part").expect("what follows");
     assert!(table.contains("0.0153") && table.contains("0.0191"), "{table}");

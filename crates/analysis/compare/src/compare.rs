@@ -19,7 +19,7 @@
 use std::fmt::Display;
 
 use serde::Serialize;
-use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
+use trueup_machine::{InputFileError, Location, RunFile, file::Quantity};
 use trueup_numerics::{
     least_squares::GivensQr,
     repeats::{self, cycle_numbers, find_gross_errors, group_positions},
@@ -27,7 +27,7 @@ use trueup_numerics::{
 };
 
 /// A difference of BIC from which evidence is strong.
-const STRONG_EVIDENCE_BIC: f64 = 6.0;
+const STRONG_EVIDENCE_BIC_DIFFERENCE: f64 = 6.0;
 /// Places nearer than this are one, in mm: a tenth of the finest spacing in use, as `accept` has it.
 const POSITION_TOLERANCE_MM: f64 = 0.1;
 /// The fewest places that both runs have.
@@ -72,7 +72,7 @@ pub struct ExcludedReading {
 
 /// The difference between two runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
+pub struct RunComparison {
     /// The measured quantity: `dx`.
     pub quantity: String,
     /// The column of the places: `x_mm`.
@@ -119,10 +119,13 @@ pub fn compare_runs(
     a: &RunFile,
     b: &RunFile,
     requested: Option<Quantity>,
-) -> Result<Comparison, BadInput> {
+) -> Result<RunComparison, InputFileError> {
     let quantity = common_quantity(b, (a, a.path().display()), requested)?;
     let over = longest_travel_column(a, b, quantity)?;
-    let rows = [extract_rows(a, quantity, &over)?, extract_rows(b, quantity, &over)?];
+    let rows = [
+        extract_position_readings(a, quantity, &over)?,
+        extract_position_readings(b, quantity, &over)?,
+    ];
     let all: Vec<f64> = rows.iter().flatten().map(|row| row.at).collect();
     let (targets, target_of) = group_positions(&all, 10.0 * POSITION_TOLERANCE_MM);
     // By place and direction: the readings of A and of B.
@@ -174,7 +177,7 @@ pub fn compare_runs(
             found.len(),
             a.path().display()
         );
-        return Err(BadInput::new(Location::start_of_file(b.path()), rule));
+        return Err(InputFileError::new(Location::start_of_file(b.path()), rule));
     }
     let mut comparison = summarise_differences(quantity, over, found, unmatched, variance, t);
     let describe = |reading: &ExcludedReading| {
@@ -216,7 +219,7 @@ fn summarise_differences(
     unmatched: usize,
     variance: Option<f64>,
     t: f64,
-) -> Comparison {
+) -> RunComparison {
     let count = places.len() as f64;
     let shift_um = places.iter().map(|place| place.difference_um).sum::<f64>() / count;
     let shares: f64 =
@@ -231,7 +234,8 @@ fn summarise_differences(
     let laws = DifferenceModel::fit_all(&places, along, variance);
     let best = laws.iter().min_by(|a, b| a.bic.total_cmp(&b.bic));
     let nothing = laws[0].bic;
-    let best = best.filter(|best| best.constants > 1 && nothing - best.bic >= STRONG_EVIDENCE_BIC);
+    let best = best
+        .filter(|best| best.constants > 1 && nothing - best.bic >= STRONG_EVIDENCE_BIC_DIFFERENCE);
     let mut sentences = best.map_or_else(Vec::new, |best| best.sentences.clone());
     if best.is_none() {
         sentences.push("The two runs do not differ by more than their readings scatter.".into());
@@ -251,7 +255,7 @@ fn summarise_differences(
                 .into(),
         );
     }
-    Comparison {
+    RunComparison {
         quantity: quantity.name().into(),
         over,
         shift_um,
@@ -405,7 +409,7 @@ pub fn common_quantity(
     run: &RunFile,
     (other, name): (&RunFile, impl Display),
     requested: Option<Quantity>,
-) -> Result<Quantity, BadInput> {
+) -> Result<Quantity, InputFileError> {
     let column = |quantity: &Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = requested {
         other.require_column(&column(&quantity))?;
@@ -423,11 +427,15 @@ pub fn common_quantity(
             format!("the runs measure {}: choose one with --quantity", names.join(", "))
         }
     };
-    Err(BadInput::new(Location::start_of_file(run.path()), rule))
+    Err(InputFileError::new(Location::start_of_file(run.path()), rule))
 }
 
 /// Returns the column of the axis that travels most in both.
-fn longest_travel_column(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, BadInput> {
+fn longest_travel_column(
+    a: &RunFile,
+    b: &RunFile,
+    quantity: Quantity,
+) -> Result<String, InputFileError> {
     let travel = |run: &RunFile, name: &str| {
         let there = run.column(name)?.iter().copied().filter(|mm| mm.is_finite());
         let (low, high) = there.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
@@ -444,15 +452,15 @@ fn longest_travel_column(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result
              use trueup accept",
             quantity.name()
         );
-        BadInput::new(Location::start_of_file(b.path()), rule)
+        InputFileError::new(Location::start_of_file(b.path()), rule)
     })
 }
 
-fn extract_rows(
+fn extract_position_readings(
     run: &RunFile,
     quantity: Quantity,
     over: &str,
-) -> Result<Vec<PositionReading>, BadInput> {
+) -> Result<Vec<PositionReading>, InputFileError> {
     let um = run.require_column(&format!("measured_{}_um", quantity.name()))?;
     let at = run.require_column(over)?;
     let directions = run.column(&format!("dir_{}", &over[..1]));

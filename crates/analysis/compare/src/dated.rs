@@ -3,8 +3,8 @@
 //! The day is in the name, `2026-11-22` or `20261122`. A machine file holds what it says; a run file of
 //! positions what a line through its readings says: a slope along the axis, and the backlash.
 
-use trueup_machine::{Location, Machine, RunFile, file::LinearAxis, model::is_reverse};
-use trueup_numerics::{least_squares::GivensQr, robust::regression_outliers, t_quantile};
+use trueup_machine::{Location, Machine, RunFile, file::LinearAxis, model::is_negative_direction};
+use trueup_numerics::{least_squares::GivensQr, robust::find_regression_outliers, t_quantile};
 
 /// A day, counted from 1970-01-01.
 pub type EpochDay = i64;
@@ -30,7 +30,7 @@ pub struct ConstantEstimate {
 /// assert_eq!(format_day(20_779), "2026-11-22");
 /// ```
 #[must_use]
-pub fn parse_day(name: &str) -> Option<EpochDay> {
+pub fn find_day_in_name(name: &str) -> Option<EpochDay> {
     let number =
         |text: &str| text.bytes().all(|b| b.is_ascii_digit()).then(|| text.parse().ok())?;
     let at = |start: usize| -> Option<EpochDay> {
@@ -147,7 +147,7 @@ fn estimate_axis_constants(run: &RunFile, axis: LinearAxis) -> Option<RunConstan
     let direction = run.column(&format!("dir_{name}"));
     let rows: Vec<usize> =
         (0..run.row_count()).filter(|row| um[*row].is_finite() && at[*row].is_finite()).collect();
-    let reverse = |row: usize| direction.is_some_and(|all| is_reverse(all[row]));
+    let reverse = |row: usize| direction.is_some_and(|all| is_negative_direction(all[row]));
     let both = rows.iter().any(|row| reverse(*row)) && rows.iter().any(|row| !reverse(*row));
     let spread = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), row| {
         (low.min(at[*row]), high.max(at[*row]))
@@ -165,7 +165,7 @@ fn estimate_axis_constants(run: &RunFile, axis: LinearAxis) -> Option<RunConstan
     let by_column: Vec<&[f64]> = by_column.iter().map(Vec::as_slice).collect();
     let values: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
     let outliers: Vec<usize> =
-        regression_outliers(&by_column, &values).iter().map(|outlier| outlier.row).collect();
+        find_regression_outliers(&by_column, &values).iter().map(|outlier| outlier.row).collect();
     let measured = format!("measured_d{name}_um");
     let listed = outliers.iter().map(|n| (run.value_location(rows[*n], &measured), values[*n]));
     let listed = listed.collect();

@@ -1,15 +1,17 @@
 //! A comparison and a trend as pages with pictures.
 
-use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
+use trueup_page::{
+    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+};
 
 use crate::{
-    compare::{Comparison, PositionDifference},
+    compare::{PositionDifference, RunComparison},
     trend::Trend,
 };
 
 /// Returns the page of a comparison of two runs, by their names.
 #[must_use]
-pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> String {
+pub fn build_comparison_page(it: &RunComparison, [a, b]: [&str; 2], origin: &Provenance) -> String {
     let mut page = Page::new(&format!("{a} and {b}"));
     let (state, heading) =
         if it.differs { ("open", "They differ") } else { ("good", "No difference") };
@@ -25,13 +27,13 @@ pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin
         mine.map(|place| [place.at_mm, place.difference_um]).collect()
     };
     let ways = [
-        (1, "approached upwards", Colour::After),
-        (-1, "downwards", Colour::Before),
-        (0, "", Colour::Measured),
+        (1, "approached upwards", ColourRole::After),
+        (-1, "downwards", ColourRole::Before),
+        (0, "", ColourRole::Measured),
     ];
     let series = ways
         .into_iter()
-        .map(|(way, name, colour)| Series::dots(name, colour, of(way)))
+        .map(|(way, name, colour)| ChartSeries::dots(name, colour, of(way)))
         .filter(|series| !series.points.is_empty());
     let chart = Chart {
         title: format!("{b} minus {a}"),
@@ -60,21 +62,25 @@ pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin
 
 /// Returns the page of trends.
 #[must_use]
-pub fn build_trends_page(trends: &[Trend], folder: &str, origin: &Origin) -> String {
+pub fn build_trends_page(trends: &[Trend], folder: &str, origin: &Provenance) -> String {
     let mut page = Page::new(&format!("What changes in {folder}"));
     let say = |trend: &Trend| format!("{}: {}", trend.name, trend.sentence);
     page.add_card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
     let picture = |trend: &Trend| {
         let points: Vec<[f64; 2]> =
             trend.points.iter().map(|point| [point.days, point.value]).collect();
-        let mut series = vec![Series::dots("measured", Colour::Measured, points)];
+        let mut series = vec![ChartSeries::dots("measured", ColourRole::Measured, points)];
         if let ([first, .., last], Some([rate, _])) = (&trend.points[..], trend.per_year) {
             // The line of least squares passes through the means.
             let count = trend.points.len() as f64;
             let days = trend.points.iter().map(|point| point.days).sum::<f64>() / count;
             let value = trend.points.iter().map(|point| point.value).sum::<f64>() / count;
             let at = |day: f64| [day, value + rate * (day - days) / 365.25];
-            series.push(Series::line("line", Colour::After, vec![at(first.days), at(last.days)]));
+            series.push(ChartSeries::line(
+                "line",
+                ColourRole::After,
+                vec![at(first.days), at(last.days)],
+            ));
         }
         let from = trend.points.first().map_or("", |point| &point.date);
         Chart {

@@ -67,7 +67,7 @@ pub struct StepChange {
 }
 
 /// A difference of BIC from which evidence is strong.
-const STRONG_EVIDENCE_BIC: f64 = 6.0;
+const STRONG_EVIDENCE_BIC_DIFFERENCE: f64 = 6.0;
 
 /// Returns the best two levels, and by how much their BIC is below that of the line, which leaves `squares`.
 fn fit_step_change(
@@ -168,7 +168,7 @@ fn fit_trend(
         .then(|| half_widths.iter().sum::<f64>() / half_widths.len() as f64);
     let squares = line.variance() * line.degrees_of_freedom() as f64;
     if let Some((step, evidence)) = fit_step_change(&it.points, squares, own)
-        && evidence >= STRONG_EVIDENCE_BIC
+        && evidence >= STRONG_EVIDENCE_BIC_DIFFERENCE
     {
         let [from, to] = &step.between;
         it.sentence = format!(

@@ -6,8 +6,8 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_compare::{
-    compare::{Comparison, compare_runs},
-    dated::{ConstantEstimate, RunConstants, estimate_run_constants, parse_day},
+    compare::{RunComparison, compare_runs},
+    dated::{ConstantEstimate, RunConstants, estimate_run_constants, find_day_in_name},
     trend::fit_trends,
 };
 use trueup_machine::RunFile;
@@ -31,7 +31,7 @@ fn pitch(x: f64) -> f64 {
     8.0 * (x / 170.0).sin()
 }
 
-fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> Comparison {
+fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> RunComparison {
     let a = run(quantity, seed, |x, _| pitch(x));
     let b = run(quantity, seed + 1000, |x, dir| pitch(x) + 3.0 + change(x, dir));
     compare_runs(&a, &b, None).expect("they have places in common")
@@ -125,7 +125,7 @@ fn runs_without_places_in_common_are_refused() {
 fn wear_is_a_line_with_an_interval_and_a_date() {
     // 4 µm of backlash, and 1.5 µm more each year, over two years.
     let dates = ["2024-01-10", "2024-07-10", "2025-01-10", "2025-07-10", "2026-01-10"];
-    let day = |date: &str| parse_day(date).expect("a date");
+    let day = |date: &str| find_day_in_name(date).expect("a date");
     let first = day(dates[0]);
     let days: Vec<(i64, Vec<ConstantEstimate>)> = dates
         .into_iter()

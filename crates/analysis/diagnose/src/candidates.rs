@@ -8,12 +8,12 @@ use trueup_machine::{
 use trueup_numerics::parallel::parallel_map;
 
 use crate::{
-    columns::{MODEL_COLUMN, column_by_name},
+    columns::{PREDICTED_ELONGATION_COLUMN, column_by_name},
     data::{ColumnGroup, DataTable, StatedTerm, forward_fill},
     fit::FitProblem,
     model::Model,
     periodogram,
-    term_kind::{Curve, ModelPart, TermKind, own_axis_thermal},
+    term_kind::{Curve, ModelPart, TermKind, own_axis_thermal_law},
 };
 
 /// Most speeds at which a curve over them may bend.
@@ -21,7 +21,7 @@ const MAX_SPEED_KNOTS: usize = 10;
 
 /// A cause to try.
 #[derive(Clone, Debug)]
-pub(crate) struct Candidate {
+pub(crate) struct CandidateTerm {
     pub kind: TermKind,
     /// Nonlinear values to begin from; one empty list where there are none.
     pub settings: Vec<Vec<f64>>,
@@ -35,7 +35,7 @@ pub(crate) fn simple_candidates(
     problem: &FitProblem,
     model: &Model,
     residual: &[f64],
-) -> Vec<Candidate> {
+) -> Vec<CandidateTerm> {
     let mut all = simple_and_clock_candidates(problem, model, residual);
     all.retain(|candidate| !candidate.kind.is_clock_periodic());
     all
@@ -46,7 +46,7 @@ pub(crate) fn simple_and_clock_candidates(
     problem: &FitProblem,
     model: &Model,
     residual: &[f64],
-) -> Vec<Candidate> {
+) -> Vec<CandidateTerm> {
     let mut all = all_candidates(problem, model, residual);
     all.retain(|candidate| !candidate.kind.is_interaction());
     all
@@ -57,20 +57,24 @@ pub(crate) fn all_candidates(
     problem: &FitProblem,
     model: &Model,
     residual: &[f64],
-) -> Vec<Candidate> {
+) -> Vec<CandidateTerm> {
     (*problem.memoise("causes", model, || propose_candidates(problem, model, residual))).clone()
 }
 
-fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
+fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> Vec<CandidateTerm> {
     let stated = problem.data.setting.stated.iter();
     // A time that is searched, not fitted, is what happened once: that does not change.
     let held = stated.map(ModelPart::from_stated_term).filter(|ModelPart { kind, .. }| {
         !model.contains(kind)
             && !kind.has_instant()
-            && kind.cause().is_some_and(|cause| has_column(problem, cause))
+            && kind.cause().is_some_and(|cause| has_required_column(problem, cause))
     });
-    let mut all: Vec<Candidate> = held
-        .map(|ModelPart { kind, values }| Candidate { kind, settings: vec![values], searched: 0.0 })
+    let mut all: Vec<CandidateTerm> = held
+        .map(|ModelPart { kind, values }| CandidateTerm {
+            kind,
+            settings: vec![values],
+            searched: 0.0,
+        })
         .collect();
     Effect::propose(
         &CandidateContext { problem, model, residual },
@@ -78,9 +82,10 @@ fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> 
             let is_in_machine_file = is_in_machine_file(problem, &effect, &starts);
             let kind = TermKind::Cause(effect);
             // A wave may come a second time, with another period.
-            let is_new = kind.is_wave() || kind.is_of_instrument() || !model.contains(&kind);
+            let is_new =
+                kind.has_spatial_period() || kind.is_instrument_error() || !model.contains(&kind);
             if !starts.is_empty() && is_new && !is_in_machine_file {
-                all.push(Candidate { kind, settings: starts, searched });
+                all.push(CandidateTerm { kind, settings: starts, searched });
             }
         },
     );
@@ -98,7 +103,7 @@ fn is_in_machine_file(problem: &FitProblem, effect: &Effect, starts: &[Vec<f64>]
     if effect.is_instrument_error() || effect.has_instant() {
         return false;
     }
-    if !effect.is_wave() {
+    if !effect.has_spatial_period() {
         return same.next().is_some();
     }
     let travel_mm = problem.bounds.travel_mm;
@@ -116,7 +121,7 @@ fn is_in_machine_file(problem: &FitProblem, effect: &Effect, starts: &[Vec<f64>]
 }
 
 /// Returns whether the data have the column that a cause depends on, if it depends on one.
-fn has_column(problem: &FitProblem, effect: &Effect) -> bool {
+fn has_required_column(problem: &FitProblem, effect: &Effect) -> bool {
     effect.input_column().is_none_or(|column| is_varying(&problem.data, &column))
 }
 
@@ -127,7 +132,7 @@ pub(crate) fn used_temperature_columns(data: &DataTable, model: &Model) -> Vec<S
     if data.setting.has_elongation && spindle.source == Some(ElongationSource::Temperature) {
         used.extend(spindle.temperature.as_ref().map(|model| model.sensor.clone()));
     }
-    used.extend(own_axis_thermal(data).map(|thermal| thermal.sensor.clone()));
+    used.extend(own_axis_thermal_law(data).map(|thermal| thermal.sensor.clone()));
     let model = model.with_machine_terms(data);
     let paths = model.parts.iter().filter_map(|part| part.kind.heat_path());
     used.extend(paths.filter(|path| !path.is_second).map(|path| path.column.to_string()));
@@ -150,7 +155,7 @@ impl CandidateContext<'_> {
     fn wave_coordinate(&self, over: SpectrumVariable<'_>) -> Option<Vec<f64>> {
         let data = self.data();
         let values = match over {
-            SpectrumVariable::Position => data.own_position()?,
+            SpectrumVariable::Position => data.own_position_mm()?,
             SpectrumVariable::Time => data.time_s()?,
             SpectrumVariable::Elongation => &data.predicted.elongation,
             SpectrumVariable::Column(column) => column_by_name(data, column)?,
@@ -194,7 +199,7 @@ impl DataView for CandidateContext<'_> {
         &self.data().predicted.law
     }
 
-    fn predicted_peak_to_peak(&self) -> f64 {
+    fn predicted_peak_to_peak_um(&self) -> f64 {
         peak_to_peak(&Model::default().predict(self.data()))
     }
 
@@ -202,23 +207,23 @@ impl DataView for CandidateContext<'_> {
         column_by_name(self.data(), name)
     }
 
-    fn temperatures(&self) -> Vec<&str> {
+    fn temperature_columns(&self) -> Vec<&str> {
         self.data().temperatures().iter().map(|(name, _)| name.as_str()).collect()
     }
 
     fn unknown_columns(&self) -> Vec<&str> {
-        self.data().other_columns().iter().map(|(name, _)| name.as_str()).collect()
+        self.data().unknown_columns().iter().map(|(name, _)| name.as_str()).collect()
     }
 
-    fn own_position(&self) -> Option<&[f64]> {
-        self.data().own_position()
+    fn own_position_mm(&self) -> Option<&[f64]> {
+        self.data().own_position_mm()
     }
 
     fn is_bidirectional(&self) -> bool {
-        self.data().own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0))
+        self.data().own_approach_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0))
     }
 
-    fn is_in_use(&self, column: &str) -> bool {
+    fn is_column_in_use(&self, column: &str) -> bool {
         used_temperature_columns(self.data(), self.model).iter().any(|used| used == column)
     }
 
@@ -232,14 +237,14 @@ impl DataView for CandidateContext<'_> {
     }
 
     fn has_instrument_error(&self) -> bool {
-        self.model.parts.iter().any(|part| part.kind.is_of_instrument())
+        self.model.parts.iter().any(|part| part.kind.is_instrument_error())
     }
 
     fn has_constant(&self) -> bool {
         self.model.constant_um.is_some()
     }
 
-    fn reference_c(&self, column: &str) -> f64 {
+    fn reference_temperature_c(&self, column: &str) -> f64 {
         self.data().reference_temperature_c(column)
     }
 
@@ -285,7 +290,7 @@ impl DataView for CandidateContext<'_> {
         )
     }
 
-    fn delay_start_values(&self) -> StartValues {
+    fn thermometer_lag_start_values(&self) -> StartValues {
         let [_, high_s] = self.problem.bounds.late_s;
         StartValues::from_values(self.geometric_time_grid(high_s))
     }
@@ -294,7 +299,7 @@ impl DataView for CandidateContext<'_> {
         self.problem.bounds.period_mm[1]
     }
 
-    fn spectrum_peak(
+    fn spectrum_peak_start_values(
         &self,
         over: SpectrumVariable<'_>,
         least_turns: f64,
@@ -306,7 +311,7 @@ impl DataView for CandidateContext<'_> {
         Some(StartValues { starts: vec![vec![1.0 / frequency]], searched })
     }
 
-    fn angled_spectrum_peak(&self, over: SpectrumVariable<'_>) -> Option<StartValues> {
+    fn reciprocal_wave_start_values(&self, over: SpectrumVariable<'_>) -> Option<StartValues> {
         let (values, searched) =
             periodogram::fit_reciprocal_wave(&self.wave_coordinate(over)?, self.residual)?;
         Some(StartValues { starts: vec![values], searched })
@@ -320,10 +325,11 @@ fn is_varying(data: &DataTable, column: &str) -> bool {
 /// Curves over each column: no causes, but tests of structure. Next to them what no single column
 /// shows: a curve over one position that grows with another (an angle of a guide, times an arm), a
 /// growth that is another one at other speeds, what comes and goes after a reversal.
-pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
+pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
     let data = &problem.data;
     let own = data.setting.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
-    let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
+    let turns =
+        data.own_approach_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
     let over = |&(column, by_direction, times): &(&str, bool, Option<&str>)| {
         let values = column_by_name(data, column).filter(|_| is_varying(data, column))?;
         if times.is_some_and(|times| !is_varying(data, times)) {
@@ -348,16 +354,16 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
         (knots.len() >= least).then(|| {
             let (column, times) = (column.to_string(), times.map(String::from));
             let kind = TermKind::Curve(Curve { column, knots, by_direction, times });
-            Candidate { kind, settings: vec![Vec::new()], searched: 0.0 }
+            CandidateTerm { kind, settings: vec![Vec::new()], searched: 0.0 }
         })
     };
     const POSITION_COLUMNS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
     let mut curves = Vec::new();
     let temperatures = data.temperatures().iter().map(|(name, _)| name.as_str());
-    let others = data.other_columns().iter().map(|(name, _)| name.as_str());
+    let others = data.unknown_columns().iter().map(|(name, _)| name.as_str());
     for column in temperatures
         .chain(others)
-        .chain(["spindle_rpm", "load_n", MODEL_COLUMN])
+        .chain(["spindle_rpm", "load_n", PREDICTED_ELONGATION_COLUMN])
         .chain(POSITION_COLUMNS)
     {
         curves.push((column, false, None));
@@ -365,7 +371,7 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
             curves.push((column, true, None));
         }
     }
-    curves.push(("spindle_rpm", false, Some(MODEL_COLUMN)));
+    curves.push(("spindle_rpm", false, Some(PREDICTED_ELONGATION_COLUMN)));
     curves.extend(
         data.columns[ColumnGroup::Reversal]
             .iter()
@@ -376,7 +382,7 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
             curves.push((column, false, Some(arm)));
         }
     }
-    let mut all: Vec<Candidate> = parallel_map(&curves, problem.is_parallel_worthwhile(), over)
+    let mut all: Vec<CandidateTerm> = parallel_map(&curves, problem.is_parallel_worthwhile(), over)
         .into_iter()
         .flatten()
         .collect();
@@ -386,17 +392,20 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
 
 /// Another scale of what the model says from a speed on. A curve of a value for each speed says that too, but costs
 /// more than it gains.
-fn speed_threshold_candidates(data: &DataTable) -> Vec<Candidate> {
-    let Some(speed_rpm) = data.spindle_rpm().filter(|_| is_varying(data, MODEL_COLUMN)) else {
+fn speed_threshold_candidates(data: &DataTable) -> Vec<CandidateTerm> {
+    let Some(speed_rpm) =
+        data.spindle_rpm().filter(|_| is_varying(data, PREDICTED_ELONGATION_COLUMN))
+    else {
         return Vec::new();
     };
     let knots = quantile_knots(speed_rpm, MAX_SPEED_KNOTS);
     let searched = (knots.len() as f64).ln();
     let from = |between: &[f64]| {
-        let (column, times) = ("spindle_rpm".to_string(), Some(MODEL_COLUMN.to_string()));
+        let (column, times) =
+            ("spindle_rpm".to_string(), Some(PREDICTED_ELONGATION_COLUMN.to_string()));
         let knots = between.to_vec();
         let kind = TermKind::Curve(Curve { column, knots, by_direction: false, times });
-        Candidate { kind, settings: vec![Vec::new()], searched }
+        CandidateTerm { kind, settings: vec![Vec::new()], searched }
     };
     knots.windows(2).map(from).collect()
 }

@@ -73,13 +73,13 @@ impl ColumnSource for LawColumns<'_> {
                 let run = data.run_numbers();
                 run.map_or_else(|| Cow::Owned(vec![f64::NAN; data.rows]), fill_gaps)
             }
-            Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature(column)),
+            Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature_c(column)),
             Input::Temperature { column, lag_s } => {
-                Cow::Owned(Arc::unwrap_or_clone(data.lagged(column, lag_s, lag_s)))
+                Cow::Owned(Arc::unwrap_or_clone(data.lagged_column(column, lag_s, lag_s)))
             }
             Input::Speed => whole(data.spindle_rpm()),
             Input::SpeedHeat { power, lag_s } => {
-                Cow::Owned(Arc::unwrap_or_clone(data.spindle_heat(power, lag_s)))
+                Cow::Owned(Arc::unwrap_or_clone(data.lagged_spindle_heat(power, lag_s)))
             }
             Input::Load => whole(data.load_n()),
             // Where it is missing it is not that of the row before.
@@ -87,14 +87,14 @@ impl ColumnSource for LawColumns<'_> {
                 Some(feeds) => Cow::Borrowed(feeds),
                 None => Cow::Owned(vec![f64::NAN; data.rows]),
             },
-            Input::OwnPosition => whole(data.own_position()),
-            Input::OwnDirection => match data.own_direction() {
+            Input::OwnPosition => whole(data.own_position_mm()),
+            Input::OwnDirection => match data.own_approach_direction() {
                 Some(direction) => Cow::Borrowed(direction),
                 None => whole(None),
             },
             Input::Position(axis) => whole(data.position_mm(axis)),
             Input::Column(column) => {
-                whole(column_by_name(data, column).or_else(|| data.own_position()))
+                whole(column_by_name(data, column).or_else(|| data.own_position_mm()))
             }
             Input::Lagged { column, lag_s } => {
                 let (time_s, values) = (whole(data.time_s()), whole(column_by_name(data, column)));
@@ -126,7 +126,7 @@ fn curve_basis_columns(curve: &Curve, data: &DataTable) -> Vec<Vec<f64>> {
 /// Calls `add` with each row, the two knots around it, and what a knot of 1 adds there.
 fn for_each_knot_weight(curve: &Curve, data: &DataTable, mut add: impl FnMut(usize, usize, f64)) {
     let Curve { column, knots, by_direction, times } = curve;
-    let reverse = |row: usize| data.own_direction().is_some_and(|d| d[row] < 0.0);
+    let reverse = |row: usize| data.own_approach_direction().is_some_and(|d| d[row] < 0.0);
     let values = fill_gaps(column_by_name(data, column).unwrap_or(&[]));
     let factor = times.as_ref().and_then(|column| column_by_name(data, column)).map(fill_gaps);
     let factor = |row: usize| factor.as_ref().map_or(1.0, |factor| factor[row]);
@@ -141,16 +141,16 @@ fn for_each_knot_weight(curve: &Curve, data: &DataTable, mut add: impl FnMut(usi
 }
 
 /// The name of the column of the elongation by the model.
-pub(crate) const MODEL_COLUMN: &str = "what the model says";
+pub(crate) const PREDICTED_ELONGATION_COLUMN: &str = "what the model says";
 
 /// Returns a column by its name in the file, or one of those that follow from others.
 pub(crate) fn column_by_name<'d>(data: &'d DataTable, name: &str) -> Option<&'d [f64]> {
     match name {
-        MODEL_COLUMN => (data.setting.quantity == Quantity::Elongation)
+        PREDICTED_ELONGATION_COLUMN => (data.setting.quantity == Quantity::Elongation)
             .then_some(&data.predicted.elongation[..]),
-        _ => data.columns.by_name(name).or_else(|| data.temperature(name)).or_else(|| {
+        _ => data.columns.by_name(name).or_else(|| data.temperature_c(name)).or_else(|| {
             let mut columns =
-                data.other_columns().iter().chain(&data.columns[ColumnGroup::Reversal]);
+                data.unknown_columns().iter().chain(&data.columns[ColumnGroup::Reversal]);
             columns.find(|(there, _)| there == name).map(|(_, values)| &values[..])
         }),
     }

@@ -43,6 +43,6 @@ pub(crate) use columns::{ColumnGroup, KnownColumn};
 pub(crate) use inputs::is_linearly_equivalent;
 pub(crate) use lag::{first_finite, forward_fill};
 pub(crate) use quantity::resolve_quantity;
-pub(crate) use row_groups::Groups;
+pub(crate) use row_groups::RowGroups;
 pub(crate) use stated_terms::StatedTerm;
 pub(crate) use table::{DataTable, ParentTable, RowPredictions};

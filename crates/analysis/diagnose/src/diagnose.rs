@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     effect::{DelayKind, ThermometerDelay},
     file::Quantity,
 };
@@ -11,7 +11,7 @@ use trueup_numerics::random::Generator;
 
 use crate::{
     candidates::curve_candidates,
-    data::{DataTable, Groups, first_finite, resolve_quantity},
+    data::{DataTable, RowGroups, first_finite, resolve_quantity},
     diagnosis::{
         Diagnosis, DiagnosisInputs,
         applied_factor::BridgeOffsets,
@@ -62,7 +62,7 @@ pub fn diagnose(
     holdout: &[RunFile],
     quantity: Option<Quantity>,
     progress: &mut ProgressCallback<'_>,
-) -> Result<Diagnosis, BadInput> {
+) -> Result<Diagnosis, InputFileError> {
     diagnose_with_options(
         machine,
         runs,
@@ -82,7 +82,7 @@ pub fn diagnose_with_options(
     holdout: &[RunFile],
     DiagnosisOptions { quantity, matters_um, is_applied_once }: DiagnosisOptions,
     progress: &mut ProgressCallback<'_>,
-) -> Result<Diagnosis, BadInput> {
+) -> Result<Diagnosis, InputFileError> {
     let quantity = resolve_quantity(runs, quantity)?;
     resolve_quantity(if holdout.is_empty() { runs } else { holdout }, Some(quantity))?;
     let bridge = BridgeOffsets::from_runs(machine, [runs, holdout], quantity, is_applied_once)?;
@@ -94,7 +94,7 @@ pub fn diagnose_with_options(
         None
     } else {
         let mut test = DataTable::with_offset_factor(machine, holdout, quantity, factor)?;
-        test.set_origin(&data);
+        test.copy_origin_from(&data);
         Some(HoldOut { files: holdout, data: test })
     };
     let mut notes = data.notes.clone();
@@ -111,7 +111,9 @@ pub fn diagnose_with_options(
         answer = search_and_judge(&data, SearchScope::Simple, progress);
     }
     let JudgedSearch { problem, found, aside, judged } = answer;
-    let known = outliers::judge_outliers(&data, &aside, || predictions(&data, &problem, &found));
+    let known = outliers::judge_outliers(&data, &aside, || {
+        predict_with_and_without_curves(&data, &problem, &found)
+    });
     let mut concluded = build_diagnosis(
         data,
         &problem,
@@ -159,14 +161,18 @@ fn search_and_judge(
 
 /// Returns what the answer predicts of each row, with curves over what it leaves and without: a law that no cause
 /// has is no gross error.
-fn predictions(data: &DataTable, problem: &FitProblem, found: &SearchOutcome) -> [Vec<f64>; 2] {
+fn predict_with_and_without_curves(
+    data: &DataTable,
+    problem: &FitProblem,
+    found: &SearchOutcome,
+) -> [Vec<f64>; 2] {
     let rest = with_curves(problem, &found.fitted, &curve_candidates(problem));
     [rest.model.predict(data), found.fitted.model.predict(data)]
 }
 
 /// Rows that stand alone, far from what is predicted.
 fn find_gross_errors(data: &DataTable, problem: &FitProblem, found: &SearchOutcome) -> Vec<bool> {
-    let [with_curves, plain] = predictions(data, problem, found);
+    let [with_curves, plain] = predict_with_and_without_curves(data, problem, found);
     let alone = outliers::find_gross_errors(data, &with_curves);
     let among_repeats = outliers::find_repeat_outliers(data, &plain);
     alone.iter().zip(among_repeats).map(|(alone, there)| *alone || there).collect()
@@ -191,13 +197,13 @@ fn run_search(
         });
     let size = if moves { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
     // Made when they are needed: of a million rows one by one they take 40 MB.
-    let groups = || Groups::new(data, &used, size);
+    let groups = || RowGroups::new(data, &used, size);
     let fewer = if moves && rows > MAX_MOVING_AXIS_ROWS {
         let mut generator = Generator::new(rows as u64);
         let is_drawn = |used: &bool| *used && generator.uniform_index(rows) < MAX_MOVING_AXIS_ROWS;
         let drawn: Vec<bool> = used.iter().map(is_drawn).collect();
         let few = data.subset(&drawn);
-        let groups = Groups::new(&few, &few.used.clone(), 1);
+        let groups = RowGroups::new(&few, &few.used.clone(), 1);
         Some((few, groups))
     } else {
         data.block_means(&groups())
@@ -206,7 +212,7 @@ fn run_search(
         let problem = FitProblem::new(data.clone(), groups());
         let found = search(&problem, &initial_model(data), known, breadth, progress);
         let wider = slope_window_rows(&problem, &found).filter(|_| !moves).and_then(|size| {
-            let problem = FitProblem::new(data.clone(), Groups::new(data, &used, size));
+            let problem = FitProblem::new(data.clone(), RowGroups::new(data, &used, size));
             let found = search(
                 &problem,
                 &initial_model(data),
@@ -214,7 +220,7 @@ fn run_search(
                 breadth,
                 progress,
             );
-            found.fitted.model.parts.iter().any(has_delayed_thermometer).then_some((problem, found))
+            found.fitted.model.parts.iter().any(has_thermometer_lag).then_some((problem, found))
         });
         return wider.unwrap_or((problem, found));
     };
@@ -235,7 +241,7 @@ fn run_search(
 /// lag is undone from row to row, exactly, with as little noise as by a slope over all of them, which blurs what
 /// happens in that time.
 fn slope_window_rows(problem: &FitProblem, found: &SearchOutcome) -> Option<usize> {
-    let late = found.fitted.model.parts.iter().find(|part| has_delayed_thermometer(part))?;
+    let late = found.fitted.model.parts.iter().find(|part| has_thermometer_lag(part))?;
     let Some(ThermometerDelay { form: DelayKind::Lag { slope_over }, .. }) =
         late.kind.cause()?.thermometer_delay()
     else {
@@ -247,6 +253,6 @@ fn slope_window_rows(problem: &FitProblem, found: &SearchOutcome) -> Option<usiz
     (size > problem.groups.size).then_some(size)
 }
 
-fn has_delayed_thermometer(part: &ModelPart) -> bool {
+fn has_thermometer_lag(part: &ModelPart) -> bool {
     part.kind.cause().is_some_and(|cause| cause.thermometer_delay().is_some())
 }

@@ -154,7 +154,7 @@ impl Folds {
     }
 
     /// Returns the part of each group, from 0: the folds; of single readings neighbours are put together.
-    pub(crate) fn part_numbers(&self) -> Vec<usize> {
+    pub(crate) fn record_part_numbers(&self) -> Vec<usize> {
         let groups = self.of_group.len();
         if self.unit == FoldUnit::Readings {
             return segment_indices(groups, SEGMENT_COUNT.min(groups));
@@ -163,7 +163,7 @@ impl Folds {
     }
 
     /// Returns the same, with the model that was fitted without each fold.
-    pub(crate) fn held_out_fits(
+    pub(crate) fn held_out_residuals_and_models(
         &self,
         problem: &FitProblem,
         model: &Model,

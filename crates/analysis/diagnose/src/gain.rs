@@ -6,7 +6,7 @@ use trueup_numerics::blocks::{RmsReduction, rms};
 
 /// The gain of a term: errors before and after, RMS in µm, and their reduction on held-out blocks.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Gain {
+pub struct TermGain {
     /// On the rows that were fitted.
     pub rms_before_um: f64,
     /// On the rows that were fitted.
@@ -21,7 +21,7 @@ pub struct Gain {
     pub ci95: [f64; 2],
 }
 
-impl Gain {
+impl TermGain {
     /// Of a model against the one before, from what both leave (in µm RMS) and what both leave in each
     /// group where that was held out.
     pub(crate) fn new(rms_um: [f64; 2], left_out: [&[f64]; 2], reduction: &RmsReduction) -> Self {
@@ -38,7 +38,7 @@ impl Gain {
     }
 
     /// From means of rows to rows: `within` is the mean square that the means have lost.
-    pub(crate) fn add_within_mean_square(&mut self, within: f64) {
+    pub(crate) fn add_within_group_mean_square(&mut self, within: f64) {
         let group = (self.left_out_before_um, self.left_out_after_um);
         let row = |um: f64| (um * um + within).sqrt();
         let before = row(group.0);

@@ -68,17 +68,17 @@ use std::{
 pub use diagnose::{DiagnosisOptions, ProgressCallback, diagnose, diagnose_with_options};
 pub use diagnosis::{
     Diagnosis,
-    report::{self, ErrorAtTool, Report, Verdict},
+    report::{self, DiagnosisReport, ErrorAtTool, Verdict},
 };
 pub use named_causes::{NamedCause, NamedCauseFit, NamedCauseFits, fit_named_causes};
 pub use next_run::{
     AxisRun, ExpectedSeparation, NextRun, NoNextRunReason, ReadingMethod, SpindleSegment,
 };
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     tool::{TOOL_COLUMN, label_code},
 };
-pub use trueup_page::Origin;
+pub use trueup_page::Provenance;
 
 /// The instruction for [`Report::missing_inputs`].
 pub const MISSING_INPUTS_INSTRUCTION: &str = "the board reads a thermometer, and receives a \
@@ -110,7 +110,7 @@ impl Diagnosis {
     /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed
     /// next.
     #[must_use]
-    pub fn render_html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
+    pub fn render_html(&self, machine_name: &str, origin: &Provenance, next: &[String]) -> String {
         diagnosis::html::render_html(self, machine_name, origin, next)
     }
 
@@ -146,7 +146,7 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model or a term needs.
-    pub fn expected_error_on(&self, day: &RunFile) -> Result<ErrorAtTool, BadInput> {
+    pub fn expected_error_on(&self, day: &RunFile) -> Result<ErrorAtTool, InputFileError> {
         self.promise.predict_error(&self.data, std::slice::from_ref(day))
     }
 
@@ -163,8 +163,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model needs.
-    pub fn separation_from_run(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
-        next_run::separation_from_run(&self.questions, &self.data, run)
+    pub fn log_likelihood_ratio(&self, run: &RunFile) -> Result<Option<f64>, InputFileError> {
+        next_run::log_likelihood_ratio(&self.questions, &self.data, run)
     }
 
     /// Returns whether a board corrects anything by the extended machine file: not what only explains.
@@ -177,7 +177,11 @@ impl Diagnosis {
     ///
     /// # Errors
     /// `source` is no machine file.
-    pub fn render_extended_toml(&self, source: &str, path: &Path) -> Result<String, BadInput> {
+    pub fn render_extended_toml(
+        &self,
+        source: &str,
+        path: &Path,
+    ) -> Result<String, InputFileError> {
         diagnosis::extended_file::render_extended_toml(source, path, &self.corrected, &self.terms)
     }
 

@@ -6,12 +6,12 @@ use std::{borrow::Cow, sync::Arc};
 use trueup_machine::{
     effect::{ModelConstants, ThermometerDelay},
     file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw, Warmup},
-    model::{WarmupState, thermal_um},
+    model::{WarmupState, thermal_error_um},
 };
 
 use crate::{
     data::{DataTable, RowPredictions, forward_fill},
-    term_kind::{ModelPart, own_axis_thermal},
+    term_kind::{ModelPart, own_axis_thermal_law},
 };
 
 /// The machine's own laws; none where nothing is corrected.
@@ -61,7 +61,7 @@ impl MachineLaws {
                     falling_s: &mut laws.spindle_falling_s,
                 }
             } else {
-                laws.thermal = laws.thermal.take().or_else(|| own_axis_thermal(data).cloned());
+                laws.thermal = laws.thermal.take().or_else(|| own_axis_thermal_law(data).cloned());
                 ModelConstants {
                     spindle: None,
                     thermal: laws.thermal.as_mut(),
@@ -78,7 +78,7 @@ impl MachineLaws {
         let is_thermal = spindle.source == Some(ElongationSource::Temperature);
         Self {
             spindle: is_thermal.then(|| spindle.clone()),
-            thermal: own_axis_thermal(data).cloned(),
+            thermal: own_axis_thermal_law(data).cloned(),
             ..Self::default()
         }
     }
@@ -116,7 +116,7 @@ impl MachineLaws {
         late_s: f64,
     ) -> DataTable {
         let delay_temperature =
-            |data: &mut DataTable, column: &str| data.delay_temperature(column, late_s);
+            |data: &mut DataTable, column: &str| data.apply_temperature_lag(column, late_s);
         match (column, &data.whole) {
             (None, _) => {
                 let own = Self::from_machine(data);
@@ -154,8 +154,8 @@ impl MachineLaws {
         columns.iter().for_each(|column| change(&mut changed, column));
         let laws = Self::from_machine(data);
         if laws.sensor_columns().any(|own| columns.contains(&own)) {
-            let axis: Arc<[f64]> = laws.axis_error(&changed).into();
-            let law: Arc<[f64]> = laws.elongation(&changed).into();
+            let axis: Arc<[f64]> = laws.axis_error_um(&changed).into();
+            let law: Arc<[f64]> = laws.elongation_um(&changed).into();
             let before = &data.predicted;
             let moved = |um: &[f64], new: &[f64], old: &[f64]| {
                 um.iter()
@@ -177,7 +177,7 @@ impl MachineLaws {
     /// Returns the time constant with which the model's own heat rises.
     pub(crate) fn rise_time_constant_s(&self, data: &DataTable) -> Option<f64> {
         let spindle = self.spindle.as_ref().unwrap_or(&data.setting.machine.spindle);
-        let rise_s = match (self.thermal.as_ref().or(own_axis_thermal(data)), spindle.source) {
+        let rise_s = match (self.thermal.as_ref().or(own_axis_thermal_law(data)), spindle.source) {
             (Some(thermal), _) => Some(thermal.lag_s),
             (None, Some(ElongationSource::Temperature)) => {
                 spindle.temperature.as_ref().map(|temperature| temperature.lag_s)
@@ -204,13 +204,13 @@ impl MachineLaws {
     ) -> Option<ThermalGrowth<'l>> {
         let is_thermal = spindle.source == Some(ElongationSource::Temperature);
         let model = spindle.temperature.as_ref().filter(|_| is_thermal)?;
-        data.temperature(&model.sensor)?;
+        data.temperature_c(&model.sensor)?;
         let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
         Some(ThermalGrowth { model, late: self.spindle_late, lags_s: [model.lag_s, fall_s] })
     }
 
     /// Returns the elongation of each row.
-    pub(crate) fn elongation<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
+    pub(crate) fn elongation_um<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
         let Some(spindle) = &self.spindle else { return Cow::Borrowed(&data.predicted.law) };
         if let Some(growth) = self.spindle_growth(spindle, data) {
             let ThermalGrowth { model, .. } = growth;
@@ -220,7 +220,7 @@ impl MachineLaws {
         match (spindle.source, &spindle.warmup) {
             (Some(ElongationSource::Warmup), Some(model)) => {
                 if let Some(whole) = &data.whole {
-                    return whole.select_rows(&self.elongation(&whole.data)).into();
+                    return whole.select_rows(&self.elongation_um(&whole.data)).into();
                 }
                 let Some(time_s) = data.time_s() else { return Cow::Borrowed(&data.predicted.law) };
                 let rated_rpm = model.rated_rpm.unwrap_or(1.0);
@@ -241,21 +241,21 @@ impl MachineLaws {
     }
 
     /// Returns the axis's error of each row.
-    pub(crate) fn axis_error<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
+    pub(crate) fn axis_error_um<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
         let thermal = self.thermal.as_ref();
-        let Some(thermal) = thermal.filter(|thermal| data.temperature(&thermal.sensor).is_some())
+        let Some(thermal) = thermal.filter(|thermal| data.temperature_c(&thermal.sensor).is_some())
         else {
             return Cow::Borrowed(&data.predicted.axis);
         };
         let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);
         let lags_s = [thermal.lag_s, fall_s];
         let lagged = data.lagged_part_temperature(&thermal.sensor, self.thermal_late, lags_s);
-        let position = data.own_position();
+        let position = data.own_position_mm();
         (0..data.rows)
             .map(|row| {
                 let mm = position.map_or(f64::NAN, |mm| mm[row]);
                 data.predicted.axis[row] - data.predicted.thermal[row]
-                    + thermal_um(thermal, lagged[row], mm)
+                    + thermal_error_um(thermal, lagged[row], mm)
             })
             .collect()
     }

@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// A law that settles this many times as fast, or as slowly, is another one.
-pub(crate) const DISTINCT_RATE_RATIO: f64 = 2.0;
+pub(crate) const MIN_DISTINCT_RATE_RATIO: f64 = 2.0;
 
 /// Terms and a constant, on top of what the machine file says.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -50,7 +50,7 @@ impl Model {
         let start = self.parts.iter().find(is_start)?;
         let late = |part: &&ModelPart| {
             let is_alike =
-                || (part.values[0] / start.values[0]).ln().abs() < DISTINCT_RATE_RATIO.ln();
+                || (part.values[0] / start.values[0]).ln().abs() < MIN_DISTINCT_RATE_RATIO.ln();
             part.kind.has_time_constant() && !is_start(part) && is_alike()
         };
         self.parts.iter().find(late).map(|late| [start, late])
@@ -99,8 +99,8 @@ impl Model {
     /// Returns the prediction of each row by its own parts, as if nothing were late.
     pub(crate) fn predict_unshifted(&self, data: &DataTable) -> Vec<f64> {
         let laws = MachineLaws::with_corrections(data, &self.parts);
-        let mut elongation = laws.elongation(data);
-        let mut axis = laws.axis_error(data);
+        let mut elongation = laws.elongation_um(data);
+        let mut axis = laws.axis_error_um(data);
         for part in self
             .parts
             .iter()
@@ -127,10 +127,10 @@ impl Model {
 /// predicted at another time may be of a row that was not drawn.
 pub(crate) fn shift_prediction(data: &DataTable, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
     let whole = data.full_table();
-    let drawn = data.sampled_from().map(ParentTable::source_rows);
+    let drawn = data.sampling_parent().map(ParentTable::source_rows);
     let Some(time_s) = whole.time_s() else {
         return data
-            .sampled_from()
+            .sampling_parent()
             .map_or_else(|| whole_um.to_vec(), |drawn| drawn.select_rows(whole_um));
     };
     // Files may overlap in time without running back; each is shifted for itself.

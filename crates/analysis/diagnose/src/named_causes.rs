@@ -7,11 +7,11 @@
 use std::sync::Arc;
 
 use serde_json::{Map, Value};
-use trueup_machine::{BadInput, Machine, RunFile, effect::Effect};
+use trueup_machine::{InputFileError, Machine, RunFile, effect::Effect};
 
 use crate::{
     DiagnosisOptions,
-    data::{DataTable, Groups, resolve_quantity},
+    data::{DataTable, RowGroups, resolve_quantity},
     diagnosis::applied_factor::BridgeOffsets,
     fit::{FitProblem, FittedModel, fit},
     model::Model,
@@ -83,7 +83,7 @@ pub fn fit_named_causes(
     options: DiagnosisOptions,
     together: &[NamedCause<'_>],
     alone: &[NamedCause<'_>],
-) -> Result<NamedCauseFits, BadInput> {
+) -> Result<NamedCauseFits, InputFileError> {
     let quantity = resolve_quantity(runs, options.quantity)?;
     let bridge = BridgeOffsets::from_runs(machine, [runs, &[]], quantity, options.is_applied_once)?;
     let data = Arc::new(
@@ -97,7 +97,10 @@ pub fn fit_named_causes(
     let (problem, base) =
         if aside.contains(&true) { fit_all(&data, &aside, together) } else { (problem, base) };
     Ok(NamedCauseFits {
-        together: together.iter().map(|named| evaluate_in_model(&problem, &base, named)).collect(),
+        together: together
+            .iter()
+            .map(|named| evaluate_model_cause(&problem, &base, named))
+            .collect(),
         alone: alone.iter().map(|named| fit_additional_cause(&problem, &base, named)).collect(),
     })
 }
@@ -113,7 +116,7 @@ fn fit_all(
     let rows = used.iter().filter(|used| **used).count();
     let size =
         if data.setting.quantity.axis().is_some() { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
-    let problem = FitProblem::new(data.clone(), Groups::new(data, &used, size));
+    let problem = FitProblem::new(data.clone(), RowGroups::new(data, &used, size));
     let mut base = fit(&problem, &initial_model(data), None);
     for named in causes {
         if let Some(extension) = find_best_extension(&problem, &base, named) {
@@ -134,14 +137,14 @@ fn find_best_extension(
 }
 
 /// Returns what a cause of the model is worth in it.
-fn evaluate_in_model(
+fn evaluate_model_cause(
     problem: &FitProblem,
     base: &FittedModel,
     named: &NamedCause<'_>,
 ) -> Option<NamedCauseFit> {
     let part = base.model.parts.iter().find(|part| named.matches(&part.kind))?;
     let without = fit(problem, &without_term(problem, &base.model, &part.kind), None);
-    Some(build_named_fit(problem, [&without, base], part))
+    Some(build_named_cause_fit(problem, [&without, base], part))
 }
 
 fn fit_additional_cause(
@@ -151,10 +154,10 @@ fn fit_additional_cause(
 ) -> Option<NamedCauseFit> {
     let Extension { cause, fitted, .. } = find_best_extension(problem, base, named)?;
     let part = fitted.model.parts.iter().find(|part| part.kind == cause)?;
-    Some(build_named_fit(problem, [base, &fitted], part))
+    Some(build_named_cause_fit(problem, [base, &fitted], part))
 }
 
-fn build_named_fit(
+fn build_named_cause_fit(
     problem: &FitProblem,
     [before, after]: [&FittedModel; 2],
     part: &ModelPart,

@@ -19,10 +19,12 @@ pub(crate) mod spindle_forecast;
 use std::fmt;
 
 use serde::Serialize;
-use trueup_machine::{BadInput, RunFile};
+use trueup_machine::{InputFileError, RunFile};
 use trueup_numerics::t_quantile;
 
-use crate::{data::DataTable, fit::CONFIDENCE_LEVEL, search::criterion::STRONG_EVIDENCE_BIC};
+use crate::{
+    data::DataTable, fit::CONFIDENCE_LEVEL, search::criterion::STRONG_EVIDENCE_BIC_DIFFERENCE,
+};
 use axis_run::AxisForecast;
 pub use axis_run::AxisRun;
 use model_pair::{ModelPair, Separation};
@@ -31,9 +33,9 @@ use spindle_forecast::SpindleForecast;
 
 /// Returns the expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
 /// is expected to be G scatters by 2√G, so that G − 2·z·√G is that much, z the one-sided quantile.
-fn sufficient_separation() -> f64 {
+fn sufficient_separation_gap() -> f64 {
     let z = t_quantile(CONFIDENCE_LEVEL, f64::from(u16::MAX));
-    (z + (z * z + STRONG_EVIDENCE_BIC).sqrt()).powi(2)
+    (z + (z * z + STRONG_EVIDENCE_BIC_DIFFERENCE).sqrt()).powi(2)
 }
 
 /// A gap below this is nothing: what chance alone would make of one value.
@@ -52,7 +54,7 @@ pub enum ReadingMethod {
 impl ReadingMethod {
     /// Returns the shortest time from reading to reading of a spindle, in s: a person takes half a minute for a row,
     /// and for a program three rows a minute are enough for what heats.
-    fn reading_interval_s(self) -> f64 {
+    fn min_reading_interval_s(self) -> f64 {
         match self {
             Self::Hand => 30.0,
             Self::Auto => 20.0,
@@ -140,7 +142,7 @@ impl fmt::Display for NoNextRunReason {
                 f,
                 "no run of up to 90 min separates {one} from {other}: the best would give a score gap of \
                  {gap:.1}, and {} is strong evidence",
-                STRONG_EVIDENCE_BIC
+                STRONG_EVIDENCE_BIC_DIFFERENCE
             ),
         }
     }
@@ -165,7 +167,7 @@ impl NextRun {
                 ". Then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
                  (expected score gap {score_gap:.0}; {} is strong evidence)",
                 difference_um / noise_um,
-                STRONG_EVIDENCE_BIC
+                STRONG_EVIDENCE_BIC_DIFFERENCE
             );
         }
         text
@@ -223,11 +225,11 @@ pub(crate) fn find_next_run(
             let [one, other] = [a, b].map(|n| foreseen[*n].next.minutes);
             one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))
         };
-        let suffices = sufficient_separation();
+        let suffices = sufficient_separation_gap();
         let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= suffices).min_by(shorter);
         let most = (0..gaps.len()).max_by(|a, b| gaps[*a].gap.total_cmp(&gaps[*b].gap));
         let Some(most) = most else { continue };
-        if gaps[most].gap < STRONG_EVIDENCE_BIC {
+        if gaps[most].gap < STRONG_EVIDENCE_BIC_DIFFERENCE {
             refused
                 .get_or_insert(NoNextRunReason::NotApart(question.causes.clone(), gaps[most].gap));
             continue;
@@ -236,7 +238,9 @@ pub(crate) fn find_next_run(
         let mut separations = vec![question.expected_separation(table)];
         let others = questions.iter().enumerate().filter(|(other, _)| *other != number);
         let others = others.map(|(_, question)| question.expected_separation(table));
-        separations.extend(others.filter(|separation| separation.score_gap >= STRONG_EVIDENCE_BIC));
+        separations.extend(
+            others.filter(|separation| separation.score_gap >= STRONG_EVIDENCE_BIC_DIFFERENCE),
+        );
         return Ok(NextRun { separations, ..next.clone() });
     }
     Err(refused.unwrap_or(NoNextRunReason::NotForeseen(
@@ -284,15 +288,15 @@ fn candidate_runs(
 }
 
 /// Returns what `run` has measured for the first of `questions`.
-pub(crate) fn separation_from_run(
+pub(crate) fn log_likelihood_ratio(
     questions: &[ModelPair],
     data: &DataTable,
     run: &RunFile,
-) -> Result<Option<f64>, BadInput> {
+) -> Result<Option<f64>, InputFileError> {
     let Some(question) = questions.first() else { return Ok(None) };
     let mut table =
         DataTable::new(&data.setting.machine, std::slice::from_ref(run), data.setting.quantity)?;
-    table.set_origin(data);
+    table.copy_origin_from(data);
     Ok(Some(question.log_likelihood_ratio(&table)))
 }
 

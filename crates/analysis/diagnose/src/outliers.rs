@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use trueup_numerics::{
     repeats::SIGNIFICANCE_LEVEL,
-    robust::{median, noise_tail_probability, poisson_tail_probability, residual_outliers},
+    robust::{flag_residual_outliers, median, noise_tail_probability, poisson_tail_probability},
 };
 
 use crate::{
@@ -33,7 +33,7 @@ pub(crate) fn find_gross_errors(data: &DataTable, predicted: &[f64]) -> Vec<bool
         let residual: Vec<f64> =
             rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
         let series: Vec<u32> = rows.iter().map(|&row| data.places.series[row]).collect();
-        residual_outliers(&residual, &series, instrument_resolution(data, &rows))
+        flag_residual_outliers(&residual, &series, instrument_resolution_um(data, &rows))
     };
     let mut found = vec![false; data.rows];
     rows.into_iter().zip(far).for_each(|(row, is_far)| found[row] = is_far);
@@ -83,7 +83,7 @@ pub(crate) fn judge_outliers(
         return OutlierJudgement::AtChanges;
     }
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
-    let step_um = instrument_resolution(data, &rows);
+    let step_um = instrument_resolution_um(data, &rows);
     let chance = |distance_um: &[f64]| {
         let known = || rows.iter().copied().filter(|&row| !distance_um[row].is_nan());
         let of = |is_far: bool| -> Vec<f64> {
@@ -95,7 +95,7 @@ pub(crate) fn judge_outliers(
     };
     let left_um = row_residuals(data, &with_curves);
     let by_level =
-        chance(&deviation_from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
+        chance(&deviations_from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
     let targets = TargetPositions::from_rows(data, rows.iter().copied());
     let by_place = targets.map_or(1.0, |targets| {
         chance(&targets.deviations_from_target_median(&row_residuals(data, &plain), aside))
@@ -128,7 +128,7 @@ fn row_residuals(data: &DataTable, predicted: &[f64]) -> Vec<f64> {
 }
 
 /// Returns how far each of `rows` is from the median of those around it that are not excluded as outliers; NaN of the others.
-fn deviation_from_level(
+fn deviations_from_level(
     data: &DataTable,
     rows: &[usize],
     aside: &[bool],
@@ -213,7 +213,8 @@ fn retain_isolated(found: &mut [bool], residual: &[f64], series: &[u32]) {
 /// Returns the place at which each of `rows` stands, by its position to a micrometre and its direction; none where
 /// nothing moves.
 fn stop_positions(data: &DataTable, rows: &[usize]) -> Vec<(i64, bool)> {
-    let (Some(position), direction) = (data.own_position(), data.own_direction()) else {
+    let (Some(position), direction) = (data.own_position_mm(), data.own_approach_direction())
+    else {
         return Vec::new();
     };
     let is_back = |row: usize| direction.is_some_and(|d| d[row] < 0.0);
@@ -250,7 +251,7 @@ fn same_side_probability(far: &[usize], residual: &[f64]) -> f64 {
 }
 
 /// Returns the instrument's last digit: the smallest step between readings, but for the rarest.
-fn instrument_resolution(data: &DataTable, rows: &[usize]) -> f64 {
+fn instrument_resolution_um(data: &DataTable, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
     values.sort_unstable_by(f64::total_cmp);
     let mut steps: Vec<f64> =

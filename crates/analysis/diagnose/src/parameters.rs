@@ -13,7 +13,7 @@ use trueup_numerics::{least_squares::normal, noise::NoiseModel, t_quantile};
 
 use crate::{
     fit::{CONFIDENCE_LEVEL, FitProblem, FittedModel, ParameterCovariance, parameter_covariance},
-    model::DISTINCT_RATE_RATIO,
+    model::MIN_DISTINCT_RATE_RATIO,
     term_kind::ModelPart,
     terms,
 };
@@ -121,7 +121,7 @@ pub(crate) fn estimate_parameters(
     // The reference and a zero that came with it.
     let terms = terms::terms_from_model(data, &fitted.model);
     if let Some(term) = terms.get(index) {
-        if let Some(heat) = term.effect.clone().heat_mut() {
+        if let Some(heat) = term.effect.clone().temperature_response_mut() {
             map.insert("reference_c".into(), json!({"value": heat.reference_c}));
         }
         if term.constant_um != 0.0 {
@@ -146,7 +146,7 @@ fn has_known_time_constants(
         let at_bound = part.values[value] > 0.95 * problem.bounds.time_constant_s[1];
         // Else it is not known which law it is, nor how the next hours will be.
         let is_known =
-            high < DISTINCT_RATE_RATIO.powi(2) * low || problem.is_time_constant_short(high);
+            high < MIN_DISTINCT_RATE_RATIO.powi(2) * low || problem.is_time_constant_short(high);
         is_known && !at_bound
     })
 }
@@ -193,7 +193,9 @@ fn includes_no_effect(part: &ModelPart, intervals: &[[f64; 2]]) -> bool {
             .all(|(interval, value)| holds(*interval, *value));
     }
     // Waves have a phase as well, and a size by both of their values.
-    if part.kind.list_length().is_some() || part.kind.is_periodic() || part.kind.is_of_instrument()
+    if part.kind.list_length().is_some()
+        || part.kind.is_periodic()
+        || part.kind.is_instrument_error()
     {
         return false;
     }

@@ -31,7 +31,7 @@ pub(crate) fn spectrum_peak(
 
 /// Returns the frequencies of the highest peaks of `values` over `at`, at most `most`, the highest first: up to
 /// twice one over the typical spacing, so that the aliases of a wave are among them.
-pub(crate) fn spectral_peaks(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
+pub(crate) fn spectral_peak_frequencies(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
     let Some(SamplingGrid { low, range, spacing }) = SamplingGrid::from_positions(at) else {
         return Vec::new();
     };
@@ -41,7 +41,7 @@ pub(crate) fn spectral_peaks(at: &[f64], values: &[f64], most: usize) -> Vec<f64
         return Vec::new();
     }
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let sums = wave_coefficients(at, values, [low, mean], step, step, count);
+    let sums = centred_fourier_sums(at, values, [low, mean], step, step, count);
     let power: Vec<f64> = sums.iter().map(|sum| sum[0] * sum[0] + sum[1] * sum[1]).collect();
     let mut tops: Vec<usize> = (1..count.saturating_sub(1))
         .filter(|&n| power[n] >= power[n - 1] && power[n] > power[n + 1])
@@ -97,7 +97,7 @@ fn dominant_component(
         return None;
     }
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let sums = wave_coefficients(at, values, [low, mean], first, step, count);
+    let sums = centred_fourier_sums(at, values, [low, mean], first, step, count);
     let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
     let (best, sum) = sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
     // Between the grid's points the peak is where a parabola through three of them has its top.
@@ -112,7 +112,7 @@ fn dominant_component(
 
 /// Σ r·cos and Σ r·sin at `count` frequencies from `first` on, of values less `mean` over positions from
 /// `low` on.
-fn wave_coefficients(
+fn centred_fourier_sums(
     at: &[f64],
     values: &[f64],
     [low, mean]: [f64; 2],

@@ -9,11 +9,11 @@ use std::collections::HashMap;
 use trueup_machine::{
     effect::BoardTerm,
     file::{Feedback, LinearAxis, PitchErrorTable},
-    model::is_reverse,
+    model::is_negative_direction,
 };
 use trueup_numerics::{
     repeats::{
-        RepeatReading, SAME_PLACE_TOLERANCE, TableLaw, cycle_numbers, find_gross_errors,
+        POSITION_TOLERANCE_PER_STEP, RepeatReading, TableLaw, cycle_numbers, find_gross_errors,
         group_positions, max_point_variance,
     },
     robust::median,
@@ -28,7 +28,7 @@ use crate::{
 /// to be corrected but one to be mended: its repeatability by ISO 230-2, 4·s, is beyond 20 µm, about
 /// the most that ISO 10791-4 lets a machining centre of 2 m have. Less than that may be the noise of
 /// the instrument.
-pub(crate) const MAX_REPEATABILITY_UM: f64 = 5.0;
+pub(crate) const MAX_REPEATABILITY_STD_UM: f64 = 5.0;
 /// More places than a table of the machine file should have points are no targets.
 const MAX_TARGET_POSITIONS: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
@@ -51,7 +51,7 @@ impl TargetPositions {
     /// as well.
     pub(crate) fn from_rows(data: &DataTable, rows: impl Iterator<Item = usize>) -> Option<Self> {
         let own = data.setting.quantity.axis()?;
-        let position = data.own_position()?;
+        let position = data.own_position_mm()?;
         let rows: Vec<usize> = rows.filter(|&row| !position[row].is_nan()).collect();
         let others = LinearAxis::ALL.into_iter().filter(|axis| *axis != own);
         let stands = |mm: &[f64]| {
@@ -65,8 +65,9 @@ impl TargetPositions {
         if !others.filter_map(|axis| data.position_mm(axis)).all(stands) {
             return None;
         }
-        let direction = data.own_direction();
-        let side = |row: usize| usize::from(direction.is_some_and(|d| is_reverse(d[row])));
+        let direction = data.own_approach_direction();
+        let side =
+            |row: usize| usize::from(direction.is_some_and(|d| is_negative_direction(d[row])));
         let at: Vec<f64> = rows.iter().map(|&row| position[row]).collect();
         let steps = rows.windows(2).filter_map(|pair| {
             let &[before, after] = pair else { return None };
@@ -182,14 +183,14 @@ impl TargetPositions {
         let even = with(self.at_mm.len());
         let mut steps = self.at_mm.windows(2).map(|pair| pair[1] - pair[0]);
         // Targets may have been written in few digits.
-        if steps.all(|step| (step - even.1).abs() < SAME_PLACE_TOLERANCE * even.1) {
+        if steps.all(|step| (step - even.1).abs() < POSITION_TOLERANCE_PER_STEP * even.1) {
             return Some(even);
         }
         let places = [0, 1].map(|side| self.positions_in_direction(side));
         (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
             let is_known = |at: &Vec<f64>| {
                 at.is_empty()
-                    || max_point_variance(at, start_mm, step_mm, points) <= MAX_VARIANCE_RATIO
+                    || max_point_variance(at, start_mm, step_mm, points) <= MAX_POINT_VARIANCE_RATIO
             };
             places.iter().all(is_known)
         })
@@ -208,7 +209,7 @@ impl TargetPositions {
 }
 
 /// The variance of a table's point, in those of one reading at a place: twice its uncertainty.
-const MAX_VARIANCE_RATIO: f64 = 4.0;
+const MAX_POINT_VARIANCE_RATIO: f64 = 4.0;
 
 /// Numbers from 0 in the order in which keys come.
 fn encode_labels<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {
@@ -239,8 +240,8 @@ pub(crate) fn analyse_repeats(
     aside: &[bool],
 ) -> Option<RepeatStatistics> {
     let run = data.run_numbers()?;
-    let own = data.own_position()?;
-    let direction = data.own_direction();
+    let own = data.own_position_mm()?;
+    let direction = data.own_approach_direction();
     let mut rows: Vec<(i64, i8, usize)> = (0..data.rows)
         .filter(|&row| data.used[row] && !aside[row] && !run[row].is_nan() && !own[row].is_nan())
         .map(|row| {

@@ -123,7 +123,7 @@ impl TermKind {
     /// thermometers of one machine are correlated, and with other rows of the same record another one is open.
     pub(crate) fn may_be_part_of(&self, open: &Self) -> bool {
         let is_path = |kind: &Self| kind.tier() > 0 && kind.heat_path().is_some();
-        !open.is_of_instrument() && !self.has_own_input() || is_path(open) && is_path(self)
+        !open.is_instrument_error() && !self.has_own_input() || is_path(open) && is_path(self)
     }
 
     /// Returns whether its first value is a time that is searched, not fitted.
@@ -191,7 +191,7 @@ impl TermKind {
     }
 
     /// Returns whether it multiplies the prediction.
-    pub(crate) fn is_factor(&self) -> bool {
+    pub(crate) fn is_multiplicative(&self) -> bool {
         self.stage() == PredictionStage::Factor
     }
 
@@ -215,7 +215,7 @@ impl TermKind {
         }
         match self.cause().map(|effect| effect.target()) {
             Some(Target::Elongation) => true,
-            Some(Target::OwnThermometer) => own_axis_thermal(data).is_none(),
+            Some(Target::OwnThermometer) => own_axis_thermal_law(data).is_none(),
             Some(Target::Heat) => {
                 data.setting.has_elongation
                     && data.predicted.along.iter().any(|along| *along != 0.0)
@@ -230,10 +230,10 @@ impl TermKind {
     }
 
     /// Returns the same heat by a path of its own, neutral.
-    pub(crate) fn as_separate_path(&self, has_lag: bool) -> Option<Self> {
+    pub(crate) fn to_separate_path(&self, has_lag: bool) -> Option<Self> {
         let Self::Cause(effect) = self else { return None };
         let mut effect = effect.clone();
-        let heat = effect.heat_mut()?;
+        let heat = effect.temperature_response_mut()?;
         heat.um_per_c = 0.0;
         heat.time_constant_s = if has_lag { 1.0 } else { 0.0 };
         Self::from_board_term(None, &BoardTerm::Heat(heat.clone()))
@@ -246,8 +246,8 @@ impl TermKind {
     }
 
     /// Returns whether it is a wave of a period that is fitted.
-    pub(crate) fn is_wave(&self) -> bool {
-        self.cause().is_some_and(Effect::is_wave)
+    pub(crate) fn has_spatial_period(&self) -> bool {
+        self.cause().is_some_and(Effect::has_spatial_period)
     }
 
     /// Returns whether it is a wave, over the position or the time.
@@ -267,7 +267,7 @@ impl TermKind {
     }
 
     /// Returns whether it is the error of the reference instrument.
-    pub(crate) fn is_of_instrument(&self) -> bool {
+    pub(crate) fn is_instrument_error(&self) -> bool {
         self.cause().is_some_and(|effect| effect.is_instrument_error())
     }
 
@@ -325,7 +325,7 @@ impl ModelPart {
 }
 
 /// Returns the thermal section of the quantity's own axis.
-pub(crate) fn own_axis_thermal(data: &DataTable) -> Option<&ThermalLaw> {
+pub(crate) fn own_axis_thermal_law(data: &DataTable) -> Option<&ThermalLaw> {
     data.setting
         .quantity
         .axis()

@@ -64,7 +64,7 @@ pub(crate) fn terms_from_model(data: &DataTable, model: &Model) -> Vec<Term> {
     };
     for term in &mut terms {
         let factor = along(term.quantity);
-        if let Some(heat) = term.effect.heat_mut() {
+        if let Some(heat) = term.effect.temperature_response_mut() {
             let reference_c = heat.reference_c - constant_um / (heat.um_per_c * factor);
             if (MIN_REFERENCE_C..=MAX_REFERENCE_C).contains(&reference_c) {
                 heat.reference_c = reference_c;

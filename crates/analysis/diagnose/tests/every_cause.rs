@@ -6,9 +6,9 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 use trueup_campaigns::{
     hidden_effects::{HiddenCause, TestCase, draw, draw_pair},
     score::{
-        hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
+        hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
         pairs::{
-            EFFECT_TO_NOISE_RATIO, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, Pair, PairScore,
+            CausePair, EFFECT_TO_NOISE_RATIO, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, PairScore,
             find_value_errors, named_causes,
         },
     },
@@ -19,13 +19,13 @@ use trueup_campaigns::{
 fn each_is_found(causes: &[HiddenCause]) {
     let mut complaints = Vec::new();
     for &cause in causes {
-        let scores: Vec<Score> = (0..2)
+        let scores: Vec<HiddenEffectScore> = (0..2)
             .map(|seed| {
                 let challenge = draw(cause, EFFECT_TO_NOISE_RATIO, seed);
                 score_diagnosis(&challenge, &run_diagnosis(&challenge))
             })
             .collect();
-        let is_found = |score: &Score| {
+        let is_found = |score: &HiddenEffectScore| {
             score.is_right && score.named.iter().any(|name| name == cause.expected_name())
         };
         if !scores.iter().any(is_found) {
@@ -83,12 +83,12 @@ fn each_cause_of_an_axis_is_found_second_half() {
 /// 95 % of such draws, and wrong in 1 %, miss one of the two limits in one test of fifty.
 fn both_are_found(is_axis: bool) {
     let (mut count, mut right, mut wrong) = (0, 0, 0);
-    let is_asked = |Pair(a, b): &Pair| {
+    let is_asked = |CausePair(a, b): &CausePair| {
         let drawn =
             draw_pair(*a, *b, EFFECT_TO_NOISE_RATIO, 0).expect("they stand beside each other");
         is_of_axis(&drawn) == is_axis
     };
-    for pair in Pair::all().into_iter().filter(is_asked) {
+    for pair in CausePair::all_compatible().into_iter().filter(is_asked) {
         let Some(PairScore { score, is_right }) = pair.diagnose_and_score(0) else {
             println!("{} go together", pair.name());
             continue;
@@ -129,7 +129,7 @@ fn every_cause_is_hidden() {
     for cause in trueup_machine::effect::Cause::ALL {
         assert!(hidden.iter().any(|other| other.name() == cause.name()), "{}", cause.name());
     }
-    let count = Pair::all().len();
+    let count = CausePair::all_compatible().len();
     println!("{count} pairs");
     assert!(count > 100, "{count}");
 }

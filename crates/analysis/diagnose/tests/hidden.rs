@@ -34,7 +34,11 @@ fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.format_line("elongation"));
     // The drift of this draw is named, but not claimed: a thermometer that drifts explains it as well.
-    assert!(all.right() >= 0.9 && all.wrong() == 0.0, "{}", all.format_line("elongation"));
+    assert!(
+        all.right_share() >= 0.9 && all.wrong_share() == 0.0,
+        "{}",
+        all.format_line("elongation")
+    );
     let (median, worst) = all.gain();
     assert!(median >= 0.98 && worst >= 0.85, "{median} {worst}");
 }
@@ -54,14 +58,14 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
     ];
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.format_line("axis"));
-    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.format_line("axis"));
+    assert!(all.right_share() == 1.0 && all.wrong_share() == 0.0, "{}", all.format_line("axis"));
 }
 
 #[test]
 fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
     let all = row(&[HiddenCause::CriticalSpeed, HiddenCause::PreloadChange], 3.0, 0..1);
     println!("{}", all.format_line("unnamed"));
-    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.format_line("unnamed"));
+    assert!(all.right_share() == 1.0 && all.wrong_share() == 0.0, "{}", all.format_line("unnamed"));
 }
 
 /// Ten times the noise, where what is nearly right leaves much: a growth that is another one above a speed is no
@@ -73,12 +77,12 @@ fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
     {
         for seed in seeds {
             let all = row(&[cause], 10.0, seed..seed + 1);
-            assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
+            assert!(all.right_share() == 1.0 && all.wrong_share() == 0.0, "{}", all.scores[0]);
         }
     }
     // As large as the noise both do as well, and neither is claimed.
     let as_well = row(&[HiddenCause::PreloadChange], 1.0, 103..104);
-    assert!(as_well.wrong() == 0.0, "{}", as_well.scores[0]);
+    assert!(as_well.wrong_share() == 0.0, "{}", as_well.scores[0]);
 }
 
 /// A slope over a time would blur what happens in it, by more than the noise.
@@ -86,7 +90,7 @@ fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
 fn a_late_thermometer_is_named_where_the_gauge_is_ten_times_as_good() {
     for seed in [100, 103] {
         let all = row(&[HiddenCause::ThermometerLag], 10.0, seed..seed + 1);
-        assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
+        assert!(all.right_share() == 1.0 && all.wrong_share() == 0.0, "{}", all.scores[0]);
     }
 }
 
@@ -134,9 +138,13 @@ fn of_all_effects_three_times_the_noise_nearly_all_are_named() {
     });
     all.scores.extend(pairs);
     println!("{}", all.format_line("effects and pairs"));
-    assert!(all.right() >= 0.95 && all.wrong() <= 0.05, "{}", all.format_line("effects and pairs"));
+    assert!(
+        all.right_share() >= 0.95 && all.wrong_share() <= 0.05,
+        "{}",
+        all.format_line("effects and pairs")
+    );
     let clean: Vec<HiddenCause> = HiddenCause::ALL.iter().copied().filter(is_clean).collect();
     let alarms = row(&clean, 3.0, 0..10);
     println!("{}", alarms.format_line("noise alone"));
-    assert_eq!(alarms.wrong(), 0.0, "{}", alarms.format_line("noise alone"));
+    assert_eq!(alarms.wrong_share(), 0.0, "{}", alarms.format_line("noise alone"));
 }

@@ -2,8 +2,8 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_diagnose::{Diagnosis, Origin, Verdict, diagnose};
-use trueup_machine::{BadInput, MachineFile, RunFile};
+use trueup_diagnose::{Diagnosis, Provenance, Verdict, diagnose};
+use trueup_machine::{InputFileError, MachineFile, RunFile};
 use trueup_numerics::random::Generator;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
@@ -39,7 +39,7 @@ fn without(um_per_c: f64, column: &str) -> RunFile {
     read(&text, "h.csv")
 }
 
-fn diagnosed(runs: &[RunFile], holdout: &[RunFile]) -> Result<Diagnosis, BadInput> {
+fn diagnosed(runs: &[RunFile], holdout: &[RunFile]) -> Result<Diagnosis, InputFileError> {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     diagnose(&machine, runs, holdout, None, &mut |_, _| {})
 }
@@ -65,7 +65,7 @@ fn what_makes_a_hold_out_worse_is_not_handed_out_and_what_does_not_is() {
             .iter()
             .any(|finding| finding.cause == "cutting-load" && finding.compensated)
     );
-    let html = diagnosis.render_html("m", &Origin::default(), &[]);
+    let html = diagnosis.render_html("m", &Provenance::default(), &[]);
     assert!(html.contains("verdict bad\"") && html.contains("The hold-out has chosen"));
     assert!(html.contains("extra-heat-path temp_a_c: the hold-out becomes worse by it"));
     // The file that is handed out is predicted as any other, and is better than what was believed.

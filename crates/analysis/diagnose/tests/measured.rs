@@ -6,7 +6,7 @@ use std::path::Path;
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity};
-use trueup_measured_data::find_file as data;
+use trueup_measured_data::find_measured_file as data;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 

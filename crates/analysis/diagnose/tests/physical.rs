@@ -2,7 +2,7 @@
 //! is what it rests on, and a few draws.
 
 use trueup_campaigns::{
-    faulty_machine::{MIN_FAULT_NOISE_RATIO, MultiFaultMachine, expected_causes},
+    faulty_machine::{MIN_FAULT_TO_NOISE_RATIO, MultiFaultMachine, expected_causes},
     physical::{MachineKind, PhysicalFault},
     score::physical::diagnose_and_score,
 };
@@ -42,7 +42,7 @@ fn every_fault_that_is_drawn_is_three_times_the_noise() {
         let case = MultiFaultMachine::draw(seed);
         assert_eq!(case.faults.len() as u64, 1 + seed % 5);
         for drawn in &case.faults {
-            let is_so = (MIN_FAULT_NOISE_RATIO..11.0).contains(&drawn.ratio);
+            let is_so = (MIN_FAULT_TO_NOISE_RATIO..11.0).contains(&drawn.ratio);
             assert!(is_so, "{seed}: {} {} {}", drawn.fault.name(), drawn.size, drawn.ratio);
         }
     }

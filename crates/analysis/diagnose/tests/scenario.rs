@@ -2,12 +2,12 @@
 //! claimed. The whole is `scorecard scenarios`.
 
 use trueup_campaigns::score::{
-    key::KeyComparison,
+    key::AnswerComparison,
     shipped::{SHIPPED_SCENARIOS, ShippedScenario},
 };
 
 /// Compares the answer to the record of `seed` with its key.
-fn compare_with_key(scenario: &ShippedScenario, seed: u64) -> KeyComparison {
+fn compare_with_key(scenario: &ShippedScenario, seed: u64) -> AnswerComparison {
     (scenario.key)().compare(&scenario.run_diagnosis(seed).report)
 }
 

@@ -9,7 +9,7 @@ use std::{borrow::Cow, path::Path};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_fit::pitch;
 use trueup_machine::{MachineFile, RunFile, applied_offsets::UncompensatedRun, file::LinearAxis};
-use trueup_measured_data::find_file as data;
+use trueup_measured_data::find_measured_file as data;
 use trueup_numerics::random::Generator;
 
 const MACHINE: &str = "[machine]\nname = \"stage\"\nkind = \"3-axis\"\n";

@@ -20,12 +20,12 @@
 use trueup_machine::file::BSpline;
 
 /// The largest order: the board runs cubics.
-pub(crate) const MAX_ORDER: usize = 4;
+pub(crate) const MAX_SPLINE_ORDER: usize = 4;
 
 /// The values of `order` basis functions.
-pub type BasisValues = [f64; MAX_ORDER];
+pub type BasisValues = [f64; MAX_SPLINE_ORDER];
 
-/// Below this [sine](Banded::min_sine) the coefficients are noise of the arithmetic.
+/// Below this [sine](Banded::min_column_angle_sine) the coefficients are noise of the arithmetic.
 const SINGULARITY_TOLERANCE: f64 = 1e-10;
 
 /// Returns the knots of a clamped spline from `first` to `last` with `inner` (rising) between them.
@@ -56,14 +56,19 @@ fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
 /// # Panics
 /// `order` is not 1…4, or there are fewer than 2·`order` knots.
 #[must_use]
-pub fn basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
-    assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
-    basis_in_span(knots, order, knot_span(knots, order, x), x)
+pub fn evaluate_basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
+    assert!((1..=MAX_SPLINE_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
+    evaluate_basis_in_span(knots, order, knot_span(knots, order, x), x)
 }
 
 /// [`basis`] in a span that is known.
-fn basis_in_span(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, BasisValues) {
-    let mut weights = [0.0; MAX_ORDER];
+fn evaluate_basis_in_span(
+    knots: &[f64],
+    order: usize,
+    span: usize,
+    x: f64,
+) -> (usize, BasisValues) {
+    let mut weights = [0.0; MAX_SPLINE_ORDER];
     weights[0] = 1.0;
     for level in 1..order {
         let mut carried = 0.0;
@@ -87,7 +92,7 @@ pub fn evaluate_with_derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
     let BSpline { order, knots_mm: knots, control_um } = spline;
     let order = *order;
     let span = knot_span(knots, order, x);
-    let mut points = [0.0; MAX_ORDER];
+    let mut points = [0.0; MAX_SPLINE_ORDER];
     points[..order].copy_from_slice(&control_um[span + 1 - order..=span]);
     let mut result = [0.0; 3];
     for (derivative, slot) in result.iter_mut().enumerate() {
@@ -95,7 +100,7 @@ pub fn evaluate_with_derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
             break;
         }
         let left = order - derivative;
-        let (_, weights) = basis_in_span(knots, left, span, x);
+        let (_, weights) = evaluate_basis_in_span(knots, left, span, x);
         *slot = weights.iter().zip(&points).take(left).map(|(w, p)| w * p).sum();
         // The control points of the next derivative.
         for j in 0..left - 1 {
@@ -157,7 +162,12 @@ impl BandedLeastSquares {
     /// For `count` coefficients and `sides` right-hand sides.
     #[must_use]
     pub fn new(order: usize, count: usize, sides: usize) -> Self {
-        Self { order, sides, r: vec![[0.0; MAX_ORDER]; count], right: vec![0.0; count * sides] }
+        Self {
+            order,
+            sides,
+            r: vec![[0.0; MAX_SPLINE_ORDER]; count],
+            right: vec![0.0; count * sides],
+        }
     }
 
     /// Takes in the observation whose coefficients from `first` on weigh `weights`, with its
@@ -190,7 +200,7 @@ impl BandedLeastSquares {
     /// Returns how well the observations determine each coefficient, 0 (not at all) to 1: the least sine
     /// of the angle between a column of the design matrix and all columns before it.
     #[must_use]
-    pub fn min_sine(&self) -> f64 {
+    pub fn min_column_angle_sine(&self) -> f64 {
         let sine = |j: usize| {
             let above = (1..self.order.min(j + 1)).map(|i| self.r[j - i][i].powi(2));
             let whole = self.r[j][0].powi(2) + above.sum::<f64>();
@@ -202,7 +212,7 @@ impl BandedLeastSquares {
     /// Returns the coefficients for right-hand side `side`; `None` where they are not determined.
     #[must_use]
     pub fn solve(&self, side: usize) -> Option<Vec<f64>> {
-        if self.min_sine() < SINGULARITY_TOLERANCE {
+        if self.min_column_angle_sine() < SINGULARITY_TOLERANCE {
             return None;
         }
         let count = self.r.len();
@@ -218,7 +228,7 @@ impl BandedLeastSquares {
     /// Returns the variance of the fitted curve where the basis is `weights` from `first` on, for
     /// observations of unit weight and variance: |R⁻ᵀ·w|².
     #[must_use]
-    pub fn variance(&self, first: usize, weights: &BasisValues) -> f64 {
+    pub fn prediction_variance(&self, first: usize, weights: &BasisValues) -> f64 {
         let count = self.r.len();
         let mut z = vec![0.0; count - first];
         let mut sum = 0.0;
@@ -258,12 +268,12 @@ pub struct SplineFit {
 /// # Panics
 /// As [`basis`].
 #[must_use]
-pub fn fit_least_squares(
+pub fn fit_least_squares_spline(
     knots: Vec<f64>,
     order: usize,
     points: impl Iterator<Item = (f64, f64, f64)>,
 ) -> Option<SplineFit> {
-    assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
+    assert!((1..=MAX_SPLINE_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
     let mut triangle = BandedLeastSquares::new(order, knots.len() - order, 1);
     let mut sum_of_squares = 0.0;
     let mut at = order - 1;
@@ -272,7 +282,7 @@ pub fn fit_least_squares(
         while at < last && knots[at + 1] <= x {
             at += 1;
         }
-        let (first, weights) = basis_in_span(&knots, order, at, x);
+        let (first, weights) = evaluate_basis_in_span(&knots, order, at, x);
         let root = weight.sqrt();
         let mut value = [y * root];
         triangle.add_observation(first, weights.map(|w| w * root), &mut value);
@@ -286,7 +296,7 @@ pub fn fit_least_squares(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_machine::model::spline_um;
+    use trueup_machine::model::spline_value_um;
 
     fn uneven() -> BSpline {
         BSpline {
@@ -301,10 +311,10 @@ mod tests {
         let spline = uneven();
         for n in 0..=1300 {
             let x = -40.0 + f64::from(n) * 0.1;
-            let (first, weights) = basis(&spline.knots_mm, 4, x);
+            let (first, weights) = evaluate_basis(&spline.knots_mm, 4, x);
             assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
             let value: f64 = (0..4).map(|j| weights[j] * spline.control_um[first + j]).sum();
-            assert!((value - spline_um(&spline, x)).abs() < 1e-13, "at {x}");
+            assert!((value - spline_value_um(&spline, x)).abs() < 1e-13, "at {x}");
             assert!((value - evaluate_with_derivatives(&spline, x)[0]).abs() < 1e-13, "at {x}");
         }
     }
@@ -319,7 +329,7 @@ mod tests {
                 continue;
             }
             let [_, slope, curvature] = evaluate_with_derivatives(&spline, x);
-            let [low, middle, high] = [x - step, x, x + step].map(|x| spline_um(&spline, x));
+            let [low, middle, high] = [x - step, x, x + step].map(|x| spline_value_um(&spline, x));
             assert!((slope - (high - low) / (2.0 * step)).abs() < 1e-4 * (1.0 + slope.abs()));
             let second = (high - 2.0 * middle + low) / (step * step);
             assert!((curvature - second).abs() < 1e-3 * (1.0 + curvature.abs()), "at {x}");
@@ -342,8 +352,8 @@ mod tests {
     fn points_of_a_spline_give_it_back() {
         let spline = uneven();
         let points = (0..=650).map(|n| f64::from(n) * 0.2 - 40.0);
-        let points = points.map(|x| (x, spline_um(&spline, x), 1.0 + x.sin().abs()));
-        let fit = fit_least_squares(spline.knots_mm.clone(), 4, points).expect("unique");
+        let points = points.map(|x| (x, spline_value_um(&spline, x), 1.0 + x.sin().abs()));
+        let fit = fit_least_squares_spline(spline.knots_mm.clone(), 4, points).expect("unique");
         assert!(fit.sum_of_squares < 1e-22, "{}", fit.sum_of_squares);
         for (found, true_one) in fit.spline.control_um.iter().zip(&spline.control_um) {
             assert!((found - true_one).abs() < 1e-11);
@@ -354,13 +364,13 @@ mod tests {
     fn what_is_left_is_the_sum_of_squares() {
         // A line through 0, 1, 0, 1: the slope is 0.2, the sum of squares 0.8.
         let points = [(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (2.0, 0.0, 1.0), (3.0, 1.0, 1.0)];
-        let line = fit_least_squares(clamped_knots(2, 0.0, &[], 3.0), 2, points.into_iter())
+        let line = fit_least_squares_spline(clamped_knots(2, 0.0, &[], 3.0), 2, points.into_iter())
             .expect("unique");
         assert!((line.sum_of_squares - 0.8).abs() < 1e-14);
         assert!((line.spline.control_um[0] - 0.2).abs() < 1e-14);
         // The mean of four has a quarter of the variance, at the middle of a line.
-        let (first, weights) = basis(&line.spline.knots_mm, 2, 1.5);
-        assert!((line.triangle.variance(first, &weights) - 0.25).abs() < 1e-14);
+        let (first, weights) = evaluate_basis(&line.spline.knots_mm, 2, 1.5);
+        assert!((line.triangle.prediction_variance(first, &weights) - 0.25).abs() < 1e-14);
     }
 
     #[test]
@@ -376,11 +386,15 @@ mod tests {
     #[test]
     fn an_interval_without_enough_points_is_not_unique() {
         let points = || (0..20).map(|n| (f64::from(n), 1.0, 1.0));
-        let fits =
-            |inner: &[f64]| fit_least_squares(clamped_knots(4, 0.0, inner, 19.0), 4, points());
+        let fits = |inner: &[f64]| {
+            fit_least_squares_spline(clamped_knots(4, 0.0, inner, 19.0), 4, points())
+        };
         assert!(fits(&[5.0, 10.0]).is_some());
         // Five knots between two points: no point decides between them.
         assert!(fits(&[5.1, 5.2, 5.3, 5.4, 5.5]).is_none());
-        assert!(fit_least_squares(clamped_knots(4, 0.0, &[], 19.0), 4, points().take(3)).is_none());
+        assert!(
+            fit_least_squares_spline(clamped_knots(4, 0.0, &[], 19.0), 4, points().take(3))
+                .is_none()
+        );
     }
 }

@@ -50,12 +50,12 @@ pub mod search;
 pub mod term_selection;
 pub mod terms;
 
-use trueup_machine::{BadInput, Machine, RunFile, file::writer::Edit};
+use trueup_machine::{InputFileError, Machine, RunFile, file::writer::MachineFileEdit};
 
-pub(crate) use self::records_from_runs::read_records as records;
+pub(crate) use self::records_from_runs::read_circle_records as records;
 pub use self::{
     circular_deviations::CircularDeviations,
-    findings::{Cause, CircleFinding},
+    findings::{CircleCause, CircleFinding},
     page::build_page,
     record::{CircleRecord, Plane},
 };
@@ -67,7 +67,7 @@ pub struct CircleReport {
     /// One for each circle, in the order of the planes.
     pub circles: Vec<CircleResult>,
     /// The corrections by table, as sections of a machine file.
-    pub edit: Edit,
+    pub edit: MachineFileEdit,
     /// Which constants the sections have, a sentence each.
     pub written: Vec<String>,
     /// Warnings for the user; whole sentences.
@@ -129,8 +129,11 @@ impl CircleVerdict {
 ///
 /// # Errors
 /// A run lacks `measured_dr_um` or two positions that move on a circle, or has too few rows of it.
-pub fn fit_circles(runs: &[RunFile], machine: Option<&Machine>) -> Result<CircleReport, BadInput> {
-    let (records, mut warnings) = records_from_runs::read_records(runs, machine)?;
+pub fn fit_circles(
+    runs: &[RunFile],
+    machine: Option<&Machine>,
+) -> Result<CircleReport, InputFileError> {
+    let (records, mut warnings) = records_from_runs::read_circle_records(runs, machine)?;
     let mut circles: Vec<CircleResult> =
         records.into_iter().map(analysis::analyse_circle).collect();
     let (edit, written) = machine_sections::write_sections(&mut circles, machine, &mut warnings);

@@ -12,22 +12,22 @@
 //! (the ignored test `a_million_rows_are_fitted`).
 
 use trueup_machine::{
-    BadInput, Machine,
+    InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::{Edit, NewSection, Value},
+    file::writer::{MachineFileEdit, NewSection, Value},
     file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
 };
-use trueup_numerics::{least_squares::Solution, robust};
+use trueup_numerics::{least_squares::QrSolution, robust};
 
 use crate::{
     lagged_regression::{self, LaggedRegression, LawColumn},
     pooled_rows::{self, PooledRows},
-    report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics},
+    report::{FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics},
 };
 
 /// The column that is explained.
-pub(crate) const MEASURED_COLUMN: &str = "measured_elongation_um";
+pub(crate) const MEASURED_ELONGATION_COLUMN: &str = "measured_elongation_um";
 
 /// Source and column of the fit.
 #[derive(Clone, Debug, Default)]
@@ -47,7 +47,7 @@ pub fn fit_elongation(
     runs: &[UncompensatedRun<'_>],
     machine: Option<&Machine>,
     options: &ElongationOptions,
-) -> Result<Report, BadInput> {
+) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let by_machine = machine.and_then(|machine| machine.spindle.source);
     let has_counts = runs.iter().any(|run| run.column("sensor_counts").is_some());
@@ -63,20 +63,23 @@ pub fn fit_elongation(
     }
 }
 
-fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Report, BadInput> {
+fn fit_by_sensor(
+    rows: &PooledRows<'_>,
+    machine: Option<&Machine>,
+) -> Result<FitReport, InputFileError> {
     let counts = rows.required_column("sensor_counts")?;
-    let mut y = rows.required_column(MEASURED_COLUMN)?;
+    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
     let is_used: Vec<bool> =
         counts.iter().zip(&y).map(|(v, y)| !v.is_nan() && !y.is_nan()).collect();
-    let mut report = Report::new("elongation", MEASURED_COLUMN);
+    let mut report = FitReport::new("elongation", MEASURED_ELONGATION_COLUMN);
     let old = machine.and_then(|machine| machine.spindle.sensor.as_ref());
     check_input_variation(rows, "sensor_counts", &counts, &is_used, 3)?;
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
 
     let ones = vec![1.0; counts.len()];
-    let found = robust::regression_outliers(&[&ones, &counts], &y);
+    let found = robust::find_regression_outliers(&[&ones, &counts], &y);
     let found = robust::isolated_outliers(found, &counts, &y);
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
@@ -101,9 +104,9 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
     };
 
     report.parameters = vec![
-        Parameter::fitted("k0_um", model.k0_um, wider * line.confidence_half_width(0)),
-        Parameter::fixed("zero_counts", zero_counts),
-        Parameter::amplitude(
+        FitParameter::fitted("k0_um", model.k0_um, wider * line.confidence_half_width(0)),
+        FitParameter::fixed("zero_counts", zero_counts),
+        FitParameter::amplitude(
             "um_per_count",
             model.um_per_count,
             wider * line.confidence_half_width(1),
@@ -116,7 +119,7 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
     }
     add_residual_statistics(&mut report, &y, &residuals, held_out, by, wider);
     warn_curvature(&mut report, &columns, &y, &line);
-    judge_fit(&mut report, &y, groups.as_deref());
+    set_fit_verdict(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.sensor")
             .with_number("k0_um", model.k0_um)
@@ -124,7 +127,7 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
             .with_number("um_per_count", model.um_per_count)
             .with_preserved_keys(&["temperature"])
             .with_header_comment(section_comment(&report));
-        report.edit = Edit::from_section(section);
+        report.edit = MachineFileEdit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
         warn_source_mismatch(&mut report, machine, ElongationSource::Sensor);
     }
@@ -135,14 +138,14 @@ fn fit_by_temperature(
     rows: &PooledRows<'_>,
     machine: Option<&Machine>,
     options: &ElongationOptions,
-) -> Result<Report, BadInput> {
+) -> Result<FitReport, InputFileError> {
     let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
     let requested = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
     let column = resolve_temperature_column(rows, requested)?;
     let temperature_c = rows.required_column(&column)?;
     let time_s = rows.optional_column("time_s")?;
-    let mut y = rows.required_column(MEASURED_COLUMN)?;
-    let mut report = Report::new("elongation", MEASURED_COLUMN);
+    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
+    let mut report = FitReport::new("elongation", MEASURED_ELONGATION_COLUMN);
     let complete = |row: usize, y: &[f64]| {
         !y[row].is_nan()
             && !temperature_c[row].is_nan()
@@ -156,11 +159,12 @@ fn fit_by_temperature(
             lagged_regression::find_outliers(time_s, &rows.restart_flags(Some(time_s)), &y)
         }
         None => {
-            let found = robust::regression_outliers(&[&vec![1.0; y.len()], &temperature_c], &y);
+            let found =
+                robust::find_regression_outliers(&[&vec![1.0; y.len()], &temperature_c], &y);
             robust::isolated_outliers(found, &temperature_c, &y)
         }
     };
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     (0..y.len()).filter(|row| !is_used[*row]).for_each(|row| y[row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
@@ -180,11 +184,11 @@ fn fit_by_temperature(
     let half = wider * fitted.half_width_for_gradient(&[-1.0 / k, constant / (k * k)]);
 
     report.parameters = vec![
-        Parameter::amplitude("k_um_per_c", k, wider * fitted.coefficient_half_width(1)),
-        Parameter::fitted("reference_c", reference_c, half),
+        FitParameter::amplitude("k_um_per_c", k, wider * fitted.coefficient_half_width(1)),
+        FitParameter::fitted("reference_c", reference_c, half),
         fitted.lag_parameter(wider),
     ];
-    report.facts.push(Fact::text("sensor", column.clone()));
+    report.facts.push(FitFact::text("sensor", column.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == column) {
         let lagged_c = design.lagged_temperatures_c(old.lag_s);
@@ -196,7 +200,7 @@ fn fit_by_temperature(
         report_previous_fit(&mut report, &of_old);
     }
     add_residual_statistics(&mut report, &y, &fitted.residuals, fitted.held_out.clone(), by, wider);
-    judge_fit(&mut report, &y, groups.as_deref());
+    set_fit_verdict(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.temperature")
             .with_text("sensor", column)
@@ -204,7 +208,7 @@ fn fit_by_temperature(
             .with_number("k_um_per_c", k)
             .with_number("lag_s", fitted.lag_s)
             .with_header_comment(section_comment(&report));
-        report.edit = Edit::from_section(section);
+        report.edit = MachineFileEdit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("temperature".into())));
         warn_source_mismatch(&mut report, machine, ElongationSource::Temperature);
     }
@@ -215,7 +219,7 @@ fn fit_by_temperature(
 pub(crate) fn resolve_temperature_column(
     rows: &PooledRows<'_>,
     requested: Option<String>,
-) -> Result<String, BadInput> {
+) -> Result<String, InputFileError> {
     if let Some(requested) = requested {
         if !is_temperature_column(&requested) {
             return Err(rows
@@ -240,7 +244,7 @@ pub(crate) fn check_input_variation(
     x: &[f64],
     is_used: &[bool],
     least: usize,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let mut used = x.iter().zip(is_used).enumerate().filter(|(_, (_, used))| **used);
     let count = used.clone().count();
     if count < least {
@@ -253,14 +257,14 @@ pub(crate) fn check_input_variation(
     {
         let place = rows.location(first, column);
         let rule = format!("{column} is {value} in every row: nothing can be fitted to it");
-        return Err(BadInput::new(place, rule));
+        return Err(InputFileError::new(place, rule));
     }
     Ok(())
 }
 
 /// Adds to `report` the figures of the residuals that all fits have.
 pub(crate) fn add_residual_statistics(
-    report: &mut Report,
+    report: &mut FitReport,
     y: &[f64],
     residuals: &[f64],
     held_out: Option<Vec<f64>>,
@@ -273,7 +277,7 @@ pub(crate) fn add_residual_statistics(
     report.held_out = held_out.and_then(|held_out| ResidualStatistics::from_residuals(&held_out));
     report.held_out_by = by;
     if wider > 1.0 {
-        report.facts.push(Fact::number("intervals_widened", wider));
+        report.facts.push(FitFact::number("intervals_widened", wider));
     }
     if report.held_out.is_none() {
         report.warnings.push(
@@ -291,16 +295,16 @@ pub(crate) fn add_residual_statistics(
 }
 
 /// How well the constants of the machine file did on the same rows.
-pub(crate) fn report_previous_fit(report: &mut Report, residuals: &[f64]) {
+pub(crate) fn report_previous_fit(report: &mut FitReport, residuals: &[f64]) {
     if let Some(old) = ResidualStatistics::from_residuals(residuals) {
-        report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
-        report.facts.push(Fact::number("machine_file_max_um", old.max_um));
+        report.facts.push(FitFact::number("machine_file_rms_um", old.rms_um));
+        report.facts.push(FitFact::number("machine_file_max_um", old.max_um));
     }
 }
 
 /// Not to compensate, where the size of the effect may be 0, or where held-out rows are no better with the
 /// correction than without it, or than with a constant alone.
-pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
+pub(crate) fn set_fit_verdict(report: &mut FitReport, y: &[f64], groups: Option<&[usize]>) {
     let mut reasons: Vec<String> = report
         .parameters
         .iter()
@@ -334,7 +338,7 @@ pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>
 }
 
 /// Returns a line above the section.
-pub(crate) fn section_comment(report: &Report) -> String {
+pub(crate) fn section_comment(report: &FitReport) -> String {
     let rms = |spread: Option<ResidualStatistics>| {
         spread.map_or("not known".to_string(), |spread| format!("{:.3} µm RMS", spread.rms_um))
     };
@@ -348,7 +352,7 @@ pub(crate) fn section_comment(report: &Report) -> String {
 
 /// Warns where the machine file goes on using another source.
 pub(crate) fn warn_source_mismatch(
-    report: &mut Report,
+    report: &mut FitReport,
     machine: Option<&Machine>,
     fitted: ElongationSource,
 ) {
@@ -364,7 +368,7 @@ pub(crate) fn warn_source_mismatch(
 }
 
 /// Warns where a parabola is clearly better than the line.
-fn warn_curvature(report: &mut Report, columns: &[Vec<f64>], y: &[f64], line: &Solution) {
+fn warn_curvature(report: &mut FitReport, columns: &[Vec<f64>], y: &[f64], line: &QrSolution) {
     let Some(x) = columns.get(1) else { return };
     let present = || x.iter().zip(y).filter(|(_, y)| !y.is_nan()).map(|(x, _)| *x);
     let mean = present().sum::<f64>() / present().count() as f64;

@@ -11,12 +11,12 @@
 use trueup_machine::model::Lag;
 use trueup_numerics::{
     least_squares::{
-        SeparableModel, Solution, SolverOptions, fit_separable, separable::geometric_sequence,
+        QrSolution, SeparableModel, SolverOptions, fit_separable, separable::geometric_sequence,
     },
     robust::{self, Outlier},
 };
 
-use crate::{pooled_rows, report::Parameter};
+use crate::{pooled_rows, report::FitParameter};
 
 /// Points of the grid over the lag.
 const LAG_GRID_POINTS: usize = 25;
@@ -55,7 +55,7 @@ pub(crate) struct LaggedFit {
     lag_half_width: Option<f64>,
     /// Of the columns, in their order.
     pub(crate) coefficients: Vec<f64>,
-    linear: Solution,
+    linear: QrSolution,
     pub(crate) residuals: Vec<f64>,
     pub(crate) held_out: Option<Vec<f64>>,
     /// A warning about the lag.
@@ -142,7 +142,7 @@ impl<'a> LaggedRegression<'a> {
         // Without a part the lag is another, but not by far.
         let near: Vec<Vec<f64>> =
             [0.25, 0.5, 1.0, 2.0, 4.0].iter().map(|share| vec![share * lagged.lag_s]).collect();
-        let held_out = pooled_rows::leave_one_group_out(y, groups, |y, group| {
+        let held_out = pooled_rows::leave_one_group_out_residuals(y, groups, |y, group| {
             let hidden: Vec<f64> = y
                 .iter()
                 .zip(groups)
@@ -256,15 +256,15 @@ impl LaggedFit {
         self.linear.half_width_for_gradient(&[&lag, gradient].concat())
     }
 
-    pub(crate) fn lag_parameter(&self, wider: f64) -> Parameter {
+    pub(crate) fn lag_parameter(&self, wider: f64) -> FitParameter {
         match self.lag_half_width {
-            Some(half) => Parameter::fitted("lag_s", self.lag_s, wider * half),
-            None => Parameter::fixed("lag_s", 0.0),
+            Some(half) => FitParameter::fitted("lag_s", self.lag_s, wider * half),
+            None => FitParameter::fixed("lag_s", 0.0),
         }
     }
 
     /// Returns the coefficients alone, to evaluate the columns with.
-    fn linear_solution(&self) -> Solution {
+    fn linear_solution(&self) -> QrSolution {
         let mut linear = self.linear.clone();
         linear.coefficients.clone_from(&self.coefficients);
         linear
@@ -281,7 +281,7 @@ pub(crate) fn find_outliers(time_s: &[f64], starts: &[bool], y: &[f64]) -> Vec<O
     let mut first = 0;
     for end in 1..=y.len() {
         if end == y.len() || starts[end] {
-            let part = robust::series_outliers(&time_s[first..end], &y[first..end]);
+            let part = robust::find_series_outliers(&time_s[first..end], &y[first..end]);
             found.extend(part.into_iter().map(|o| Outlier { row: o.row + first, ..o }));
             first = end;
         }

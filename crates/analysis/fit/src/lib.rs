@@ -37,4 +37,4 @@ pub mod thermal;
 pub mod volume;
 pub mod warmup;
 
-pub use report::{ExcludedRow, Fact, FitVerdict, Parameter, Report, ResidualStatistics};
+pub use report::{ExcludedRow, FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics};

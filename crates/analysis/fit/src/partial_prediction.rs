@@ -4,7 +4,7 @@
 //! fitted a second time, or the whole would count them twice.
 
 use trueup_machine::{
-    BadInput, Machine,
+    InputFileError, Machine,
     applied_offsets::UncompensatedRun,
     file::{ElongationSource, LinearAxis, is_temperature_column},
     model::required_columns,
@@ -39,7 +39,7 @@ pub struct PartialPrediction {
 impl PartialPrediction {
     /// Returns whether a row is known at all.
     #[must_use]
-    pub fn is_usable(&self) -> bool {
+    pub fn has_known_rows(&self) -> bool {
         self.um.iter().any(|um| !um.is_nan())
     }
 }
@@ -53,7 +53,7 @@ pub fn predict_other_sections(
     machine: &Machine,
     run: &UncompensatedRun<'_>,
     without: ExcludedSection,
-) -> Result<Option<PartialPrediction>, BadInput> {
+) -> Result<Option<PartialPrediction>, InputFileError> {
     let mut rest = machine.clone();
     let axis = match without {
         ExcludedSection::Thermal(axis) => {

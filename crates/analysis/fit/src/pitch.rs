@@ -45,12 +45,12 @@ mod summary;
 mod table;
 
 use trueup_machine::{
-    BadInput,
+    InputFileError,
     applied_offsets::UncompensatedRun,
     file::{Backlash, Feedback, LinearAxis, PitchErrorTable},
 };
 
-pub use backlash::{BacklashFit, WidthRule, fit_backlash};
+pub use backlash::{BacklashFit, BacklashWidthRule, fit_backlash};
 pub use gantry::fit_both_drives;
 pub use html_report::build_page;
 pub use pitch_aliasing::aliased_pitches;
@@ -59,17 +59,17 @@ use trueup_numerics::repeats::{self, TableSelection};
 
 use self::{
     cross_validation::{CorrectionModel, DirectionSums, cross_validate},
-    grid_selection::choose_grid,
-    readings::{PitchReading, ReadingSelection, Readings, measured_column},
+    grid_selection::choose_table_grid,
+    readings::{PitchReading, PitchReadings, ReadingSelection, measured_column_name},
     summary::{
-        add_statistics, add_warnings, interpolation_caveat, rejection_reasons, suggest_measurement,
-        write_pitch_section,
+        add_measurement_statistics, add_warnings, interpolation_caveat, rejection_reasons,
+        suggest_measurement, write_pitch_section,
     },
-    table::TargetGrid,
+    table::TableGrid,
 };
 use crate::{
     iso230::{Iso230Results, TargetReadings},
-    report::{FitVerdict, Report, ResidualStatistics},
+    report::{FitReport, FitVerdict, ResidualStatistics},
 };
 
 /// The table that is required.
@@ -90,7 +90,7 @@ pub struct PitchFitOptions {
     /// before the fit. NaN: not known.
     pub known_um: Option<Vec<f64>>,
     /// Which width [`fit_backlash`] takes.
-    pub width: WidthRule,
+    pub width: BacklashWidthRule,
     /// The feed that parts are cut at, in mm/min, where backlash depends on it; `None`: the slowest
     /// that was measured.
     pub feed_mm_per_min: Option<f64>,
@@ -105,7 +105,7 @@ impl Default for PitchFitOptions {
             most_points: 512,
             feedback: Feedback::Screw,
             known_um: None,
-            width: WidthRule::Automatic,
+            width: BacklashWidthRule::Automatic,
             feed_mm_per_min: None,
         }
     }
@@ -127,7 +127,7 @@ pub enum TableMode {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PitchFit {
     /// The result, with the changes in the machine file.
-    pub report: Report,
+    pub report: FitReport,
     /// The table; `None` if the axis should not be corrected.
     pub pitch: Option<PitchErrorTable>,
     /// The backlash that belongs to it.
@@ -147,7 +147,7 @@ pub fn fit(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     options: &PitchFitOptions,
-) -> Result<PitchFit, BadInput> {
+) -> Result<PitchFit, InputFileError> {
     let selection = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
@@ -155,14 +155,14 @@ pub fn fit(
         by_feed: false,
         in_order: true,
     };
-    let mut readings = Readings::from_run(run, &selection)?;
+    let mut readings = PitchReadings::from_run(run, &selection)?;
     check_coverage(run, axis, &readings, options)?;
-    let mut report = Report::new("pitch", measured_column(axis));
+    let mut report = FitReport::new("pitch", measured_column_name(axis));
     // The figures of the standard are of all that was read.
     let all = readings.values_by_target();
     report.excluded = readings.exclude_gross_errors(run, axis);
     let sums = DirectionSums::from_readings(readings.targets_mm.len(), readings.list.iter());
-    let grid = choose_grid(&readings, &sums, options, &mut report);
+    let grid = choose_table_grid(&readings, &sums, options, &mut report);
     let laws = candidate_models(&readings, options);
     let judged =
         if readings.runs > 1 { cross_validate(&readings, &grid, &laws) } else { Vec::new() };
@@ -171,7 +171,7 @@ pub fn fit(
     let by_target = readings.values_by_target();
     let iso230 =
         if readings.is_record { None } else { evaluate_iso230(&readings.targets_mm, &all) };
-    add_statistics(&mut report, &readings, &iso230);
+    add_measurement_statistics(&mut report, &readings, &iso230);
     report.table = iso230.as_ref().map(ToString::to_string).unwrap_or_default();
     let best = judged
         .iter()
@@ -214,9 +214,9 @@ pub fn fit(
 fn check_coverage(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
-    readings: &Readings,
+    readings: &PitchReadings,
     options: &PitchFitOptions,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     if let [only] = readings.targets_mm[..] {
         let rule = format!("{only} is the only position: a table needs at least 2 test points");
         return Err(run.value_error(0, &format!("{}_mm", axis.name()), rule));
@@ -235,7 +235,7 @@ fn check_coverage(
     }
     if let Some(step_mm) = options.step_mm
         && !(step_mm > 0.0
-            && TargetGrid::with_step(&readings.targets_mm, step_mm).points <= MAX_TABLE_POINTS)
+            && TableGrid::with_step(&readings.targets_mm, step_mm).points <= MAX_TABLE_POINTS)
     {
         let rule = format!(
             "cannot have a table with a step of {step_mm} mm: it must be above 0 and give at most \
@@ -250,7 +250,7 @@ fn check_coverage(
 const MAX_TABLE_POINTS: usize = 4096;
 
 /// Returns the corrections to try, from the simplest on; the first two are none.
-fn candidate_models(readings: &Readings, options: &PitchFitOptions) -> Vec<CorrectionModel> {
+fn candidate_models(readings: &PitchReadings, options: &PitchFitOptions) -> Vec<CorrectionModel> {
     let mut laws = vec![CorrectionModel::Nothing, CorrectionModel::Constant];
     let both = readings.measured_directions() == [true; 2];
     let screw = options.feedback == Feedback::Screw;
@@ -270,7 +270,7 @@ fn candidate_models(readings: &Readings, options: &PitchFitOptions) -> Vec<Corre
 
 /// Returns true for one pass in one direction: a screw's file of a control, a certificate. Nothing in it says
 /// whether the axis repeats, so it is taken over as it stands.
-fn is_single_pass(readings: &Readings, decision: &TableSelection) -> bool {
+fn is_single_pass(readings: &PitchReadings, decision: &TableSelection) -> bool {
     let each_once = readings.list.len() == readings.targets_mm.len();
     readings.runs < 2
         && !readings.is_record
@@ -280,7 +280,7 @@ fn is_single_pass(readings: &Readings, decision: &TableSelection) -> bool {
 }
 
 /// Returns the decision that `trueup diagnose` takes as well.
-fn select_table(readings: &Readings, laws: &[CorrectionModel]) -> TableSelection {
+fn select_table(readings: &PitchReadings, laws: &[CorrectionModel]) -> TableSelection {
     let laws: Vec<repeats::TableLaw> = laws.iter().filter_map(|law| law.as_table_law()).collect();
     let none = vec![false; readings.list.len()];
     repeats::select_table(&readings.to_repeat_readings(), &none, readings.targets_mm.len(), &laws)

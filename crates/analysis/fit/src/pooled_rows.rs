@@ -1,8 +1,8 @@
 //! The rows of several runs in a row, and which of them are held out together.
 
-use trueup_machine::{BadInput, Location, applied_offsets::UncompensatedRun};
+use trueup_machine::{InputFileError, Location, applied_offsets::UncompensatedRun};
 use trueup_numerics::{
-    least_squares::{GivensQr, Solution},
+    least_squares::{GivensQr, QrSolution},
     robust::Outlier,
 };
 
@@ -19,10 +19,10 @@ pub(crate) struct PooledRows<'r> {
 impl<'r> PooledRows<'r> {
     /// # Errors
     /// There is no run at all.
-    pub(crate) fn new(runs: &'r [UncompensatedRun<'r>]) -> Result<Self, BadInput> {
+    pub(crate) fn new(runs: &'r [UncompensatedRun<'r>]) -> Result<Self, InputFileError> {
         if runs.is_empty() {
             let rule = "no run is given: a fit needs a run file";
-            return Err(BadInput::new(Location::start_of_file("".as_ref()), rule));
+            return Err(InputFileError::new(Location::start_of_file("".as_ref()), rule));
         }
         Ok(Self { runs })
     }
@@ -35,7 +35,7 @@ impl<'r> PooledRows<'r> {
     ///
     /// # Errors
     /// A run has no such column, or no row of any has a value in it.
-    pub(crate) fn required_column(&self, name: &str) -> Result<Vec<f64>, BadInput> {
+    pub(crate) fn required_column(&self, name: &str) -> Result<Vec<f64>, InputFileError> {
         let values = self.concatenated_column(name)?;
         if values.iter().all(|value| value.is_nan()) {
             return Err(self.runs[0].value_error(0, name, "has no value in any row"));
@@ -43,7 +43,7 @@ impl<'r> PooledRows<'r> {
         Ok(values)
     }
 
-    fn concatenated_column(&self, name: &str) -> Result<Vec<f64>, BadInput> {
+    fn concatenated_column(&self, name: &str) -> Result<Vec<f64>, InputFileError> {
         let mut values = Vec::with_capacity(self.row_count());
         for run in self.runs {
             values.extend_from_slice(run.require_column(name)?);
@@ -55,7 +55,7 @@ impl<'r> PooledRows<'r> {
     ///
     /// # Errors
     /// Some runs have it and others have not.
-    pub(crate) fn optional_column(&self, name: &str) -> Result<Option<Vec<f64>>, BadInput> {
+    pub(crate) fn optional_column(&self, name: &str) -> Result<Option<Vec<f64>>, InputFileError> {
         if self.runs.iter().all(|run| run.column(name).is_none()) {
             return Ok(None);
         }
@@ -72,7 +72,7 @@ impl<'r> PooledRows<'r> {
             .collect()
     }
 
-    fn locate(&self, mut row: usize) -> (&'r UncompensatedRun<'r>, usize) {
+    fn locate_row(&self, mut row: usize) -> (&'r UncompensatedRun<'r>, usize) {
         for run in self.runs {
             if row < run.row_count() {
                 return (run, row);
@@ -83,13 +83,13 @@ impl<'r> PooledRows<'r> {
     }
 
     pub(crate) fn location(&self, row: usize, column: &str) -> Location {
-        let (run, row) = self.locate(row);
+        let (run, row) = self.locate_row(row);
         run.value_location(row, column)
     }
 
     /// Returns the runs as a whole break a rule.
-    pub(crate) fn input_error(&self, rule: impl Into<String>) -> BadInput {
-        BadInput::new(Location::start_of_file(self.runs[0].path()), rule)
+    pub(crate) fn input_error(&self, rule: impl Into<String>) -> InputFileError {
+        InputFileError::new(Location::start_of_file(self.runs[0].path()), rule)
     }
 
     /// Where the states start again: the first row of each file, and where time runs back.
@@ -200,7 +200,7 @@ pub(crate) fn solve_least_squares(
     columns: &[Vec<f64>],
     y: &[f64],
     keep: impl Fn(usize) -> bool,
-) -> Option<Solution> {
+) -> Option<QrSolution> {
     let mut triangle = GivensQr::new(columns.len());
     let mut x = vec![0.0; columns.len()];
     for (row, &y) in y.iter().enumerate() {
@@ -218,7 +218,11 @@ pub(crate) fn copy_row(columns: &[Vec<f64>], row: usize, x: &mut [f64]) {
 }
 
 /// y minus the fit, by row.
-pub(crate) fn compute_residuals(columns: &[Vec<f64>], y: &[f64], solution: &Solution) -> Vec<f64> {
+pub(crate) fn compute_residuals(
+    columns: &[Vec<f64>],
+    y: &[f64],
+    solution: &QrSolution,
+) -> Vec<f64> {
     let mut x = vec![0.0; columns.len()];
     y.iter()
         .enumerate()
@@ -246,14 +250,14 @@ pub(crate) fn held_out_residuals(
         });
         return Some(each.collect());
     };
-    leave_one_group_out(y, groups, |y, group| {
+    leave_one_group_out_residuals(y, groups, |y, group| {
         let solution = solve_least_squares(columns, y, |row| groups[row] != group)?;
         Some(compute_residuals(columns, y, &solution))
     })
 }
 
 /// For each group in turn the residuals of its rows from `refit`, which must not look at them.
-pub(crate) fn leave_one_group_out(
+pub(crate) fn leave_one_group_out_residuals(
     y: &[f64],
     groups: &[usize],
     mut refit: impl FnMut(&[f64], usize) -> Option<Vec<f64>>,

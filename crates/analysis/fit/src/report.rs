@@ -5,20 +5,20 @@
 
 use std::fmt;
 
-use trueup_machine::{Location, file::writer::Edit};
+use trueup_machine::{Location, file::writer::MachineFileEdit};
 use trueup_numerics::line::ErrorStatistics;
 
 /// The result of a fit.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Report {
+pub struct FitReport {
     /// The name of the fit as the command has it: `pitch`.
     pub kind: &'static str,
     /// The column that was explained: `measured_dx_um`.
     pub column: String,
     /// The constants, in the order in which they are to be read.
-    pub parameters: Vec<Parameter>,
+    pub parameters: Vec<FitParameter>,
     /// Further figures of this fit.
-    pub facts: Vec<Fact>,
+    pub facts: Vec<FitFact>,
     /// A table for people, line by line, of figures that the facts hold in part or whole.
     pub table: String,
     /// The measured values themselves on the rows that were used: what is there without any fit.
@@ -42,10 +42,10 @@ pub struct Report {
     /// Whether the constants are fit for use.
     pub verdict: FitVerdict,
     /// The changes in the machine file; empty where the verdict is not to compensate.
-    pub edit: Edit,
+    pub edit: MachineFileEdit,
 }
 
-impl Report {
+impl FitReport {
     /// Returns an empty report of the fit `kind` on `column`.
     #[must_use]
     pub fn new(kind: &'static str, column: impl Into<String>) -> Self {
@@ -54,14 +54,14 @@ impl Report {
 
     /// Returns the parameter `name`, if the fit has it.
     #[must_use]
-    pub fn parameter(&self, name: &str) -> Option<&Parameter> {
+    pub fn parameter(&self, name: &str) -> Option<&FitParameter> {
         self.parameters.iter().find(|parameter| parameter.name == name)
     }
 }
 
 /// A constant and how well it is known.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Parameter {
+pub struct FitParameter {
     /// Its key in the machine file, with its unit: `um_per_count`.
     pub name: String,
     /// Its value, as it is written to the machine file.
@@ -73,7 +73,7 @@ pub struct Parameter {
     pub is_amplitude: bool,
 }
 
-impl Parameter {
+impl FitParameter {
     /// Returns a fitted constant, `half_width` from its value to either end of the interval.
     #[must_use]
     pub fn fitted(name: impl Into<String>, value: f64, half_width: f64) -> Self {
@@ -100,7 +100,7 @@ impl Parameter {
     }
 }
 
-impl fmt::Display for Parameter {
+impl fmt::Display for FitParameter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.ci95 {
             None => write!(f, "{} = {} (set)", self.name, self.value),
@@ -125,16 +125,16 @@ fn significant_decimals(width: f64) -> usize {
 
 /// A figure that only one kind of fit has.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fact {
+pub struct FitFact {
     /// Its name with its unit: `repeatability_um`.
     pub name: String,
     /// Its value, in the unit that the name ends with.
-    pub value: FactValue,
+    pub value: FitFactValue,
 }
 
 /// The value of a [`Fact`].
 #[derive(Clone, Debug, PartialEq)]
-pub enum FactValue {
+pub enum FitFactValue {
     /// One number.
     Number(f64),
     /// Several numbers.
@@ -143,23 +143,23 @@ pub enum FactValue {
     Text(String),
 }
 
-impl Fact {
+impl FitFact {
     /// Returns a figure of one number.
     #[must_use]
     pub fn number(name: impl Into<String>, value: f64) -> Self {
-        Self { name: name.into(), value: FactValue::Number(value) }
+        Self { name: name.into(), value: FitFactValue::Number(value) }
     }
 
     /// Returns a figure of several numbers.
     #[must_use]
     pub fn numbers(name: impl Into<String>, values: Vec<f64>) -> Self {
-        Self { name: name.into(), value: FactValue::Numbers(values) }
+        Self { name: name.into(), value: FitFactValue::Numbers(values) }
     }
 
     /// Returns a figure in words.
     #[must_use]
     pub fn text(name: impl Into<String>, text: impl Into<String>) -> Self {
-        Self { name: name.into(), value: FactValue::Text(text.into()) }
+        Self { name: name.into(), value: FitFactValue::Text(text.into()) }
     }
 }
 
@@ -232,14 +232,19 @@ mod tests {
             (1234.5678, 321.0, "gain = 1235 (914 to 1556)"),
             (0.019_798, 3.1e-7, "gain = 0.01979800 (0.01979769 to 0.01979831)"),
         ] {
-            assert_eq!(Parameter::fitted("gain", value, half_width).to_string(), expected);
+            assert_eq!(FitParameter::fitted("gain", value, half_width).to_string(), expected);
         }
-        assert_eq!(Parameter::fixed("zero_counts", 5048.0).to_string(), "zero_counts = 5048 (set)");
+        assert_eq!(
+            FitParameter::fixed("zero_counts", 5048.0).to_string(),
+            "zero_counts = 5048 (set)"
+        );
     }
 
     #[test]
     fn an_interval_without_a_width_is_still_printed() {
-        assert!(Parameter::fitted("gain", 2.0, 0.0).to_string().starts_with("gain = 2.000000000 "));
-        assert!(Parameter::fitted("gain", 2.0, f64::NAN).to_string().contains("NaN"));
+        assert!(
+            FitParameter::fitted("gain", 2.0, 0.0).to_string().starts_with("gain = 2.000000000 ")
+        );
+        assert!(FitParameter::fitted("gain", 2.0, f64::NAN).to_string().contains("NaN"));
     }
 }

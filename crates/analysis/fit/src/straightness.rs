@@ -50,12 +50,12 @@ use std::fmt;
 
 use trueup_machine::file::BSpline;
 
-pub use method_comparison::{CurveMethod, MethodComparison};
+pub use method_comparison::{CurveMethod, MethodPerformance};
 pub use residual::ResidualSummary;
-pub use run_fit::{StraightnessCurve, fit_run};
+pub use run_fit::{StraightnessCurve, fit_straightness_run};
 pub use sites::StraightLine;
 
-use crate::bspline::fit_least_squares;
+use crate::bspline::fit_least_squares_spline;
 use knot_selection::SelectedSpline;
 use sites::Sites;
 
@@ -203,7 +203,7 @@ pub struct StraightnessFit {
 
 /// Why there is no fit.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum FitError {
+pub enum StraightnessFitError {
     /// There are not as many errors as positions.
     #[error("there are {positions} positions but {errors} errors")]
     LengthsDiffer {
@@ -251,11 +251,11 @@ pub fn fit(
     along_mm: &[f64],
     error_um: &[f64],
     options: &StraightnessFitOptions,
-) -> Result<StraightnessFit, FitError> {
+) -> Result<StraightnessFit, StraightnessFitError> {
     if let Some(um) = options.tolerance_um
         && !(um > 0.0 && um.is_finite())
     {
-        return Err(FitError::Tolerance { um });
+        return Err(StraightnessFitError::Tolerance { um });
     }
     let mut sites = Sites::from_readings(along_mm, error_um)?;
     let line = sites.subtract_reference(options.reference);
@@ -293,16 +293,16 @@ impl StraightnessFit {
     /// Returns the same data by the paper's way, by least squares, by a polynomial of degree 7 and by
     /// straight lines, each also on positions that it has not seen.
     #[must_use]
-    pub fn compare_methods(&self) -> Vec<MethodComparison> {
+    pub fn compare_methods(&self) -> Vec<MethodPerformance> {
         method_comparison::compare_methods(self)
     }
 
     fn add_warnings(&mut self) {
         /// A linear axis shorter than that is rather one whose positions are in metres.
-        const MIN_AXIS_LENGTH_MM: f64 = 20.0;
+        const MIN_PLAUSIBLE_TRAVEL_MM: f64 = 20.0;
         let [first, last] = self.sites.end_positions();
         let travel = last - first;
-        if travel < MIN_AXIS_LENGTH_MM {
+        if travel < MIN_PLAUSIBLE_TRAVEL_MM {
             self.warnings.push(format!(
                 "the positions span {travel} mm: if they are metres, multiply them by 1000"
             ));
@@ -343,16 +343,16 @@ fn estimate_noise(sites: &Sites, found: &SelectedSpline) -> (Option<NoiseEstimat
             .filter(|&freedom| freedom > 0)
             .map(|freedom| noise(left + sites.within, freedom, false)),
     };
-    let fit = fit_least_squares(knots_mm.clone(), *order, sites.points());
+    let fit = fit_least_squares_spline(knots_mm.clone(), *order, sites.points());
     let error = noise.zip(fit).map(|(noise, fit)| {
-        const EVALUATION_POINTS: u32 = 400;
+        const EVALUATION_INTERVALS: u32 = 400;
         let [first, last] = sites.end_positions();
         let variance = |n: u32| {
-            let x = first + (last - first) * f64::from(n) / f64::from(EVALUATION_POINTS);
-            let (first, weights) = crate::bspline::basis(knots_mm, *order, x);
-            fit.triangle.variance(first, &weights)
+            let x = first + (last - first) * f64::from(n) / f64::from(EVALUATION_INTERVALS);
+            let (first, weights) = crate::bspline::evaluate_basis(knots_mm, *order, x);
+            fit.triangle.prediction_variance(first, &weights)
         };
-        noise.um * (0..=EVALUATION_POINTS).map(variance).fold(0.0, f64::max).sqrt()
+        noise.um * (0..=EVALUATION_INTERVALS).map(variance).fold(0.0, f64::max).sqrt()
     });
     (noise, error)
 }

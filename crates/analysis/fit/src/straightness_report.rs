@@ -4,15 +4,15 @@
 //! first, as in `fit pitch`.
 
 use trueup_machine::{
-    BadInput,
+    InputFileError,
     applied_offsets::UncompensatedRun,
-    file::writer::{Edit, NewSection, round_to_decimals},
+    file::writer::{MachineFileEdit, NewSection, round_to_decimals},
 };
 use trueup_numerics::repeats;
 
 use crate::{
     elongation::section_comment,
-    report::{ExcludedRow, Fact, FitVerdict, Parameter, Report, ResidualStatistics},
+    report::{ExcludedRow, FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics},
     straightness::{self, CurveMethod, ReferenceLine, StraightnessCurve, StraightnessFitOptions},
 };
 
@@ -23,14 +23,14 @@ const COEFFICIENT_DECIMALS: i32 = 4;
 /// have a value for each row.
 ///
 /// # Errors
-/// See [`straightness::fit_run`].
+/// See [`straightness::fit_straightness_run`].
 pub fn fit_curve(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
-    known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, BadInput>,
+    known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, InputFileError>,
     options: &StraightnessFitOptions,
-) -> Result<Report, BadInput> {
-    let mut curve = straightness::fit_run(run, quantity, options)?;
+) -> Result<FitReport, InputFileError> {
+    let mut curve = straightness::fit_straightness_run(run, quantity, options)?;
     let column = format!("measured_d{}_um", curve.error.name());
     let position = format!("{}_mm", curve.along.name());
     let (positions, measured) = (run.require_column(&position)?, run.require_column(&column)?);
@@ -56,7 +56,7 @@ pub fn fit_curve(
             .map_err(|fault| run.value_error(0, &position, fault))?;
         curve.rows_incomplete = y.len() - rows.len() - found.len();
     }
-    Ok(Report { excluded: outliers, ..build_report(&curve, &y, positions, column) })
+    Ok(FitReport { excluded: outliers, ..build_report(&curve, &y, positions, column) })
 }
 
 /// Returns the rows that stand alone among the repeats of their position and direction.
@@ -77,9 +77,14 @@ fn find_outlier_rows(positions: &[f64], direction: Option<&[f64]>, y: &[f64]) ->
     rows.into_iter().zip(found).filter(|(_, found)| *found).map(|(row, _)| row).collect()
 }
 
-fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: String) -> Report {
+fn build_report(
+    curve: &StraightnessCurve,
+    y: &[f64],
+    positions: &[f64],
+    column: String,
+) -> FitReport {
     let fit = &curve.fit;
-    let mut report = Report::new("straightness", column);
+    let mut report = FitReport::new("straightness", column);
     let mut spline = fit.spline.clone();
     spline.control_um.iter_mut().for_each(|um| *um = round_to_decimals(*um, COEFFICIENT_DECIMALS));
     let less_line: Vec<f64> =
@@ -87,14 +92,14 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
     let residuals: Vec<f64> = less_line
         .iter()
         .zip(positions)
-        .map(|(y, x)| y - trueup_machine::model::spline_um(&spline, *x))
+        .map(|(y, x)| y - trueup_machine::model::spline_value_um(&spline, *x))
         .collect();
     report.rows_used = fit.rows;
     report.rows_incomplete = curve.rows_incomplete;
     report.before = ResidualStatistics::from_residuals(&less_line);
     report.in_sample = ResidualStatistics::from_residuals(&residuals);
     let compared = fit.compare_methods();
-    let own = CurveMethod::from_method(fit.method);
+    let own = CurveMethod::from_fit_method(fit.method);
     let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.held_out);
     report.held_out =
         judged.map(|left| ResidualStatistics { rms_um: left.rms_um, max_um: left.largest_um });
@@ -102,7 +107,7 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
     report.table = compared.iter().map(|way| format!("{way}\n")).collect();
     for way in &compared {
         let held_out = way.held_out.map_or(f64::NAN, |left| left.rms_um);
-        report.facts.push(Fact::text(
+        report.facts.push(FitFact::text(
             format!("compared: {}", way.way),
             format!(
                 "{} coefficients, {:.3} µm RMS, at held-out positions {held_out:.3} µm RMS",
@@ -110,20 +115,22 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
             ),
         ));
     }
-    report.facts.push(Fact::number("coefficients", spline.control_um.len() as f64));
-    report.facts.push(Fact::number("positions", fit.positions as f64));
-    report.facts.push(Fact::text("reference_line", fit.reference.to_string()));
+    report.facts.push(FitFact::number("coefficients", spline.control_um.len() as f64));
+    report.facts.push(FitFact::number("positions", fit.positions as f64));
+    report.facts.push(FitFact::text("reference_line", fit.reference.to_string()));
     if fit.reference != ReferenceLine::AsMeasured {
-        report.parameters.push(Parameter::fixed("line_offset_um", fit.line.offset_um));
-        report.parameters.push(Parameter::fixed("line_slope_um_per_mm", fit.line.slope_um_per_mm));
+        report.parameters.push(FitParameter::fixed("line_offset_um", fit.line.offset_um));
+        report
+            .parameters
+            .push(FitParameter::fixed("line_slope_um_per_mm", fit.line.slope_um_per_mm));
     }
     if let Some(noise) = fit.noise {
-        report.facts.push(Fact::number("noise_um", noise.um));
+        report.facts.push(FitFact::number("noise_um", noise.um));
     }
     if let Some(um) = fit.standard_error_um {
-        report.facts.push(Fact::number("curve_standard_error_um", um));
+        report.facts.push(FitFact::number("curve_standard_error_um", um));
     }
-    report.facts.push(Fact::text("stopped_because", fit.stopped.to_string()));
+    report.facts.push(FitFact::text("stopped_because", fit.stopped.to_string()));
     if let Some(tolerance) = fit.tolerance_um.filter(|_| !fit.is_within_tolerance) {
         report.unmet.push(format!(
             "the largest residual is {:.3} µm, the tolerance {tolerance} µm: {}",
@@ -145,7 +152,7 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
         .with_numbers("knots_mm", spline.knots_mm)
         .with_numbers("control_um", spline.control_um)
         .with_header_comment(section_comment(&report));
-    report.edit = Edit::from_section(section);
+    report.edit = MachineFileEdit::from_section(section);
     report
 }
 

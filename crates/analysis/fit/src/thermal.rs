@@ -25,11 +25,11 @@ mod section;
 mod table;
 
 use trueup_machine::{
-    BadInput, Machine,
+    InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::Edit,
+    file::writer::MachineFileEdit,
     file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
-    model::thermal_um,
+    model::thermal_error_um,
 };
 use trueup_numerics::{
     least_squares::{self, fit_separable},
@@ -42,11 +42,11 @@ use self::{
 };
 use crate::{
     elongation::{
-        add_residual_statistics, check_input_variation, judge_fit, resolve_temperature_column,
+        add_residual_statistics, check_input_variation, resolve_temperature_column, set_fit_verdict,
     },
     lagged_regression::{LaggedFit, LaggedRegression, LawColumn},
     pooled_rows::{self, PooledRows},
-    report::{Fact, Parameter, Report, ResidualStatistics},
+    report::{FitFact, FitParameter, FitReport, ResidualStatistics},
 };
 
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
@@ -91,7 +91,7 @@ pub fn fit(
     axis: LinearAxis,
     machine: Option<&Machine>,
     options: &ThermalFitOptions,
-) -> Result<Report, BadInput> {
+) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
     let (mut data, mut report) = ThermalData::read(&rows, axis, old, options)?;
@@ -103,20 +103,20 @@ pub fn fit(
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let (mode, fitted, mean_c) = data.choose_mode(&rows, requested, groups.as_deref())?;
     let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
-    report.facts.push(Fact::text("mode", mode.name()));
-    report.facts.push(Fact::text("sensor", data.sensor.clone()));
+    report.facts.push(FitFact::text("mode", mode.name()));
+    report.facts.push(FitFact::text("sensor", data.sensor.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == data.sensor) {
         let of_old = data.residuals(old);
         if let Some(old) = ResidualStatistics::from_residuals(&of_old) {
-            report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
-            report.facts.push(Fact::number("machine_file_max_um", old.max_um));
+            report.facts.push(FitFact::number("machine_file_rms_um", old.rms_um));
+            report.facts.push(FitFact::number("machine_file_max_um", old.max_um));
         }
     }
 
     let law = LinearLaw { mode, fitted: &fitted, mean_c, wider };
     let mut thermal = law.report_constants(&data, &mut report);
-    let levels = table::temperature_levels(&rows, &data);
+    let levels = table::temperature_levels_c(&rows, &data);
     if let Some(table) = FittedTable::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
         let is_better =
             table.is_better_than_lines(&fitted.residuals, thermal.table.is_some(), mode, wider);
@@ -130,7 +130,7 @@ pub fn fit(
     {
         if bend.lag_s != fitted.lag_s {
             report.parameters.retain(|parameter| parameter.name != "lag_s");
-            report.parameters.push(Parameter::fixed("lag_s", bend.lag_s));
+            report.parameters.push(FitParameter::fixed("lag_s", bend.lag_s));
         }
         table.add_to_report(&mut report, mode);
         report.warnings.push(format!(
@@ -166,10 +166,10 @@ pub fn fit(
         _ => (fitted.held_out.clone(), by),
     };
     add_residual_statistics(&mut report, &data.y, &residuals, held_out, by, wider);
-    judge_fit(&mut report, &data.y, groups.as_deref());
+    set_fit_verdict(&mut report, &data.y, groups.as_deref());
     report_inseparable_constants(&mut report, mode, thermal.table.is_some());
     if report.verdict.is_fitted() {
-        report.edit = Edit::from_section(thermal_section(axis, &thermal, &report));
+        report.edit = MachineFileEdit::from_section(thermal_section(axis, &thermal, &report));
     }
     Ok(report)
 }
@@ -192,7 +192,7 @@ impl ThermalData {
         axis: LinearAxis,
         old: Option<&ThermalLaw>,
         options: &ThermalFitOptions,
-    ) -> Result<(Self, Report), BadInput> {
+    ) -> Result<(Self, FitReport), InputFileError> {
         let measured = format!("measured_d{}_um", axis.name());
         let mut y = rows.required_column(&measured)?;
         let requested = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
@@ -202,7 +202,7 @@ impl ThermalData {
         let starts = rows.restart_flags(time_s.as_deref());
         let position = format!("{}_mm", axis.name());
         let requested_mode = options.mode.or(old.map(|old| old.mode));
-        let needs_position = requested_mode.is_some_and(ThermalMode::has_position);
+        let needs_position = requested_mode.is_some_and(ThermalMode::has_position_term);
         let positions = if needs_position {
             Some(rows.required_column(&position)?)
         } else {
@@ -229,14 +229,14 @@ impl ThermalData {
             }
             _ => Vec::new(),
         };
-        let mut report = Report::new("thermal", measured.clone());
+        let mut report = FitReport::new("thermal", measured.clone());
         report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
         let data = Self { measured, sensor, temperature_c, time_s, starts, arm_m, y, origin_mm };
         Ok((data, report))
     }
 
     /// Returns whether the positions that are used differ.
-    fn positions_differ(&self) -> bool {
+    fn has_varying_positions(&self) -> bool {
         let mut used = self.arm_m.iter().zip(&self.y).filter(|(_, y)| !y.is_nan());
         let first = used.next().map(|(arm, _)| *arm);
         used.any(|(arm, _)| Some(*arm) != first)
@@ -248,13 +248,13 @@ impl ThermalData {
         rows: &PooledRows<'_>,
         requested: Option<ThermalMode>,
         groups: Option<&[usize]>,
-    ) -> Result<(ThermalMode, LaggedFit, f64), BadInput> {
+    ) -> Result<(ThermalMode, LaggedFit, f64), InputFileError> {
         /// A mode with more terms must be better on held-out rows by this share.
         const MIN_MODE_GAIN: f64 = 0.05;
         let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
         let modes: Vec<ThermalMode> = match requested {
             Some(mode) => vec![mode],
-            None if self.positions_differ() => all.to_vec(),
+            None if self.has_varying_positions() => all.to_vec(),
             None => vec![ThermalMode::Constant],
         };
         let mut best: Option<(f64, ThermalMode, LaggedFit, f64)> = None;
@@ -314,7 +314,7 @@ impl ThermalData {
         let lagged_c = self.lagged_temperatures_c(thermal.lag_s);
         let residual = |(row, y): (usize, &f64)| {
             let arm_m = self.arm_m.get(row).copied().unwrap_or(f64::NAN);
-            y - thermal_um(thermal, lagged_c[row], self.origin_mm + 1000.0 * arm_m)
+            y - thermal_error_um(thermal, lagged_c[row], self.origin_mm + 1000.0 * arm_m)
         };
         self.y.iter().enumerate().map(residual).collect()
     }
@@ -350,7 +350,7 @@ impl LinearLaw<'_> {
     }
 
     /// Returns the machine file's constants, reported; a table of two rows where one T₀ cannot serve.
-    fn report_constants(&self, data: &ThermalData, report: &mut Report) -> ThermalLaw {
+    fn report_constants(&self, data: &ThermalData, report: &mut FitReport) -> ThermalLaw {
         let c = &self.fitted.coefficients;
         let half = |at: usize| self.wider * self.fitted.coefficient_half_width(at);
         let mut thermal = ThermalLaw {
@@ -378,9 +378,9 @@ impl LinearLaw<'_> {
                     name_of_b
                 }
             };
-            parameters.push(Parameter::amplitude(name, c[1], half(1)));
-            parameters.push(Parameter::fitted("reference_c", reference_c, reference_half));
-            parameters.push(Parameter::fixed("origin_mm", data.origin_mm));
+            parameters.push(FitParameter::amplitude(name, c[1], half(1)));
+            parameters.push(FitParameter::fitted("reference_c", reference_c, reference_half));
+            parameters.push(FitParameter::fixed("origin_mm", data.origin_mm));
         } else {
             // a and b with one T₀: where a₀ + a·T and b₀ + b·T are zero together, a₀·b = b₀·a. The
             // difference of the two sides is a contrast whose size has its own interval.
@@ -398,9 +398,9 @@ impl LinearLaw<'_> {
                     let slope =
                         self.wider * self.fitted.half_width_for_gradient(&[0.0, 0.0, 1.0, dt]);
                     let name = format!("constant_um {at}");
-                    parameters.push(Parameter::fitted(name, row.constant_um, k0));
+                    parameters.push(FitParameter::fitted(name, row.constant_um, k0));
                     let name = format!("slope_um_per_m {at}");
-                    parameters.push(Parameter::fitted(name, row.slope_um_per_m, slope));
+                    parameters.push(FitParameter::fitted(name, row.slope_um_per_m, slope));
                 }
                 let (of_a, _) = self.reference_temperature(0);
                 let (of_b, _) = self.reference_temperature(2);
@@ -417,7 +417,8 @@ impl LinearLaw<'_> {
                     (self.reference_temperature(0), self.reference_temperature(2));
                 let (weight_a, weight_b) = (half_a.powi(-2), half_b.powi(-2));
                 let reference_c = (weight_a * of_a + weight_b * of_b) / (weight_a + weight_b);
-                let solution = fit_common_reference(data, self.fitted.lag_s, reference_c);
+                let solution =
+                    fit_common_reference_temperature(data, self.fitted.lag_s, reference_c);
                 let (reference_c, a, b, halves) = solution.unwrap_or((
                     reference_c,
                     c[1],
@@ -427,11 +428,11 @@ impl LinearLaw<'_> {
                 thermal.reference_c = reference_c;
                 thermal.constant_um_per_c = a;
                 thermal.slope_um_per_m_per_c = b;
-                parameters.push(Parameter::amplitude(name_of_a, a, self.wider * halves[1]));
-                parameters.push(Parameter::amplitude(name_of_b, b, self.wider * halves[2]));
+                parameters.push(FitParameter::amplitude(name_of_a, a, self.wider * halves[1]));
+                parameters.push(FitParameter::amplitude(name_of_b, b, self.wider * halves[2]));
                 let half = self.wider * halves[0];
-                parameters.push(Parameter::fitted("reference_c", reference_c, half));
-                parameters.push(Parameter::fixed("origin_mm", data.origin_mm));
+                parameters.push(FitParameter::fitted("reference_c", reference_c, half));
+                parameters.push(FitParameter::fixed("origin_mm", data.origin_mm));
             }
         }
         report.parameters.push(self.fitted.lag_parameter(self.wider));
@@ -440,12 +441,12 @@ impl LinearLaw<'_> {
 }
 
 /// T₀, a and b of y = (a + b·P)·(T − T₀), with the half widths of their intervals.
-fn fit_common_reference(
+fn fit_common_reference_temperature(
     data: &ThermalData,
     lag_s: f64,
     start_c: f64,
 ) -> Option<(f64, f64, f64, [f64; 3])> {
-    let model = table::CommonReferenceModel {
+    let model = table::CommonReferenceTemperatureModel {
         lagged_c: data.lagged_temperatures_c(lag_s),
         arm_m: &data.arm_m,
     };

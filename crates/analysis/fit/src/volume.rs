@@ -39,7 +39,7 @@ pub mod setup;
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{BadInput, Location, Machine, RunFile, file::writer::Edit};
+use trueup_machine::{InputFileError, Location, Machine, RunFile, file::writer::MachineFileEdit};
 use trueup_numerics::robust;
 
 use self::{
@@ -83,7 +83,7 @@ pub struct VolumeReport {
     /// The errors that are written.
     pub written: Vec<GeometricError>,
     /// The sections of the machine file.
-    pub edit: Edit,
+    pub edit: MachineFileEdit,
     /// Readings that were held out.
     pub held_out: HeldOutResult,
     /// The noise of each kind of reading in µm; `None` where there is none of the kind.
@@ -101,7 +101,7 @@ pub struct VolumeReport {
 impl VolumeReport {
     /// Returns whether the correction gains on held-out readings by more than the standard error.
     #[must_use]
-    pub fn is_improvement(&self) -> bool {
+    pub fn has_significant_improvement(&self) -> bool {
         self.held_out.is_better
     }
 }
@@ -116,7 +116,7 @@ pub struct VolumetricModel {
 impl VolumetricModel {
     /// Returns the difference of the errors of two poses in a direction, µm, and its standard deviation.
     #[must_use]
-    pub fn difference_um(&mut self, from: &Pose, to: &Pose, toward: [f64; 3]) -> [f64; 2] {
+    pub fn error_difference_um(&mut self, from: &Pose, to: &Pose, toward: [f64; 3]) -> [f64; 2] {
         let [from, to] = [from, to].map(|pose| self.constants.tip_sensitivities(pose));
         let row: Vec<f64> =
             to.iter().zip(&from).map(|(to, from)| dot(toward, *to) - dot(toward, *from)).collect();
@@ -132,7 +132,7 @@ pub fn fit(
     runs: &[RunFile],
     machine: &Machine,
     options: &VolumeFitOptions,
-) -> Result<VolumeReport, BadInput> {
+) -> Result<VolumeReport, InputFileError> {
     let Some(chain) = &machine.volume.chain else {
         let rule = "machine.chain is missing: the sign and the lever of an error depend on what each axis carries";
         let help = "write the axes into [machine] from the workpiece over the bed to the tool: chain = \"w X' b Y Z t\"";
@@ -140,7 +140,7 @@ pub fn fit(
         let place = machine.places.locate("machine");
         let place =
             if place.file.as_os_str().is_empty() { Location::start_of_file(path) } else { place };
-        return Err(BadInput::new(place, rule).with_help(help));
+        return Err(InputFileError::new(place, rule).with_help(help));
     };
     let mut warnings = Vec::new();
     let readings = run_reader::read(runs, machine, options.artefact_um.is_some(), &mut warnings)?;
@@ -197,7 +197,7 @@ pub fn fit(
         true => {
             section_writer::build_edit(machine, &constants, &mean, &known, points_mm, &mut warnings)
         }
-        false => (Edit::default(), Vec::new()),
+        false => (MachineFileEdit::default(), Vec::new()),
     };
     let kinds = |kind: ReadingKind| used.iter().filter(|reading| reading.kind == kind).count();
     let readings_of = ReadingKind::ALL.map(kinds);
@@ -244,7 +244,7 @@ fn reference_points(
 
 /// Warns where the line of a rotary axis is not stated.
 fn warn_missing_rotary_lines(machine: &Machine, warnings: &mut Vec<String>) {
-    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
+    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes) {
         if !machine.volume.rotary.iter().any(|location| location.axis == axis) {
             warnings.push(format!(
                 "rotary.{}.point_mm is not stated: its line is taken to go through machine zero",

@@ -20,9 +20,9 @@
 mod warmup_model;
 
 use trueup_machine::{
-    BadInput, Machine,
+    InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::{Edit, NewSection, Value},
+    file::writer::{MachineFileEdit, NewSection, Value},
     file::{ElongationSource, Warmup},
     model::WarmupState,
 };
@@ -34,12 +34,12 @@ use trueup_numerics::{
 use self::warmup_model::{FreeParameters, WarmupModel, WarmupRecord};
 use crate::{
     elongation::{
-        MEASURED_COLUMN, add_residual_statistics, check_input_variation, judge_fit,
-        report_previous_fit, section_comment, warn_source_mismatch,
+        MEASURED_ELONGATION_COLUMN, add_residual_statistics, check_input_variation,
+        report_previous_fit, section_comment, set_fit_verdict, warn_source_mismatch,
     },
     lagged_regression,
     pooled_rows::{self, PooledRows},
-    report::{Fact, Parameter, Report, ResidualStatistics},
+    report::{FitFact, FitParameter, FitReport, ResidualStatistics},
 };
 
 /// A further constant is taken where chance gives its gain less than once in this many.
@@ -53,30 +53,33 @@ const SPEED_RELATIVE_TOLERANCE: f64 = 0.02;
 ///
 /// # Errors
 /// A column is missing, too few rows have all values, or all times are equal.
-pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<Report, BadInput> {
+pub fn fit(
+    runs: &[UncompensatedRun<'_>],
+    machine: Option<&Machine>,
+) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.spindle.warmup.as_ref());
     let time_s = rows.required_column("time_s")?;
     let spindle_rpm = rows.optional_column("spindle_rpm")?;
-    let mut y = rows.required_column(MEASURED_COLUMN)?;
+    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
     let starts = rows.restart_flags(Some(&time_s));
-    let mut report = Report::new("warmup", MEASURED_COLUMN);
+    let mut report = FitReport::new("warmup", MEASURED_ELONGATION_COLUMN);
     let is_complete = |row: usize| {
         !time_s[row].is_nan() && spindle_rpm.as_ref().is_none_or(|rpm| !rpm[row].is_nan())
     };
     (0..y.len()).filter(|row| !is_complete(*row)).for_each(|row| y[row] = f64::NAN);
     report.rows_incomplete = y.iter().filter(|y| y.is_nan()).count();
     let found = lagged_regression::find_outliers(&time_s, &starts, &y);
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
     check_input_variation(&rows, "time_s", &time_s, &is_used, 8)?;
 
-    let speeds = distinct_speeds(spindle_rpm.as_deref(), &y);
+    let speeds = distinct_speeds_rpm(spindle_rpm.as_deref(), &y);
     if spindle_rpm.is_some() && speeds.is_empty() {
         let place = rows.location(0, "spindle_rpm");
         let rule = "spindle_rpm is 0 in every row: a spindle that stands does not warm up";
-        return Err(BadInput::new(place, rule));
+        return Err(InputFileError::new(place, rule));
     }
     // One speed says nothing of others: what the user has believed of them stays.
     let retained = old.filter(|old| speeds.len() == 1 && old.speed_exponent != 0.0);
@@ -95,14 +98,14 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
         cool: has_cooling(&record, &y),
         ..FreeParameters::default()
     };
-    let span = RecordSpan::from_record(&record, &y);
+    let span = RecordTimeScales::from_record(&record, &y);
     let (shape, fit) = select_model(record, base, &y, &span)
         .ok_or_else(|| rows.input_error("no warm-up can be fitted to these rows"))?;
     let wider = pooled_rows::autocorrelation_inflation(&fit.residuals);
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let held_out = groups.as_ref().and_then(|groups| {
-        pooled_rows::leave_one_group_out(&y, groups, |y, group| {
+        pooled_rows::leave_one_group_out_residuals(&y, groups, |y, group| {
             let pairs = y.iter().zip(groups);
             let hide = |(y, of): (&f64, &usize)| if *of == group { f64::NAN } else { *y };
             let hidden: Vec<f64> = pairs.map(hide).collect();
@@ -118,9 +121,9 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
     }
     report_each_run(&mut report, &rows, &record, &y);
     add_residual_statistics(&mut report, &y, &fit.residuals, held_out, by, wider);
-    judge_fit(&mut report, &y, groups.as_deref());
+    set_fit_verdict(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
-        report.edit = Edit::from_section(warmup_section(&model, &report));
+        report.edit = MachineFileEdit::from_section(warmup_section(&model, &report));
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("warmup".into())));
         warn_source_mismatch(&mut report, machine, ElongationSource::Warmup);
     }
@@ -128,14 +131,14 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
 }
 
 /// How long and how often the record looks.
-struct RecordSpan {
+struct RecordTimeScales {
     /// The usual time from row to row.
     interval_s: f64,
     /// The longest that the spindle ran without a break.
     longest_s: f64,
 }
 
-impl RecordSpan {
+impl RecordTimeScales {
     fn from_record(record: &WarmupRecord<'_>, y: &[f64]) -> Self {
         let (mut longest_s, mut since, mut before) = (0.0_f64, None, f64::NAN);
         let mut intervals = Vec::new();
@@ -164,7 +167,7 @@ impl RecordSpan {
 }
 
 /// Returns the speeds at which it ran, rising, those within a hair of each other as one: its largest.
-fn distinct_speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
+fn distinct_speeds_rpm(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
     let mut all: Vec<f64> = spindle_rpm
         .into_iter()
         .flatten()
@@ -201,7 +204,7 @@ fn select_model<'a>(
     record: WarmupRecord<'a>,
     base: FreeParameters,
     y: &[f64],
-    span: &RecordSpan,
+    span: &RecordTimeScales,
 ) -> Option<(WarmupModel<'a>, NonlinearFit)> {
     let search = |free: FreeParameters| {
         let shape = WarmupModel { record, free, longest_tau_s: 50.0 * span.longest_s };
@@ -251,10 +254,10 @@ fn is_significantly_better(less: &NonlinearFit, more: &NonlinearFit) -> bool {
 
 /// Returns the machine file's constants, reported.
 fn report_constants(
-    report: &mut Report,
+    report: &mut FitReport,
     shape: &WarmupModel<'_>,
     fit: &NonlinearFit,
-    span: &RecordSpan,
+    span: &RecordTimeScales,
     wider: f64,
 ) -> Warmup {
     let constants = shape.decode_parameters(&fit.parameters);
@@ -263,8 +266,8 @@ fn report_constants(
     let size = fit.parameters[size_at];
     let half = |at: usize| wider * fit.confidence_half_width(at);
     let shown = |name: &str, at: Option<usize>, value: f64| match at {
-        Some(at) => Parameter::fitted(name, value, half(at)),
-        None => Parameter::fixed(name, value),
+        Some(at) => FitParameter::fitted(name, value, half(at)),
+        None => FitParameter::fixed(name, value),
     };
     let exponent = if ends.is_some() {
         constants.exponent
@@ -296,15 +299,15 @@ fn report_constants(
     };
     let parameters = &mut report.parameters;
     parameters.push(shown("lag_s", lag, constants.lag_s));
-    parameters.push(Parameter::fitted("warm_s", warm_s, wider * half_warm));
-    parameters.push(Parameter::amplitude("max_um", model.max_um, share * half(size_at)));
+    parameters.push(FitParameter::fitted("warm_s", warm_s, wider * half_warm));
+    parameters.push(FitParameter::amplitude("max_um", model.max_um, share * half(size_at)));
     parameters.push(shown("exponent", ends, exponent));
     parameters.push(shown("time_constant_s", tau, constants.tau_s));
     if let Some(cool_s) = constants.cool_s {
         parameters.push(shown("cool_s", cool, cool_s));
     }
     if let Some(rated_rpm) = rated_rpm {
-        parameters.push(Parameter::fixed("rated_rpm", rated_rpm));
+        parameters.push(FitParameter::fixed("rated_rpm", rated_rpm));
         parameters.push(shown("speed_exponent", speed, constants.speed_exponent));
     }
     if shape.free.zero {
@@ -314,7 +317,7 @@ fn report_constants(
              spindle (instrument_zero_um) was taken off and is not in the machine file"
                 .into(),
         );
-        report.facts.push(Fact::numbers("instrument_zero_um", zeros));
+        report.facts.push(FitFact::numbers("instrument_zero_um", zeros));
     }
     if ends.is_none() {
         report.warnings.push(format!(
@@ -354,7 +357,7 @@ fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) 
 
 /// t₁, t₂ and Smax of each run alone, where there are several.
 fn report_each_run(
-    report: &mut Report,
+    report: &mut FitReport,
     rows: &PooledRows<'_>,
     record: &WarmupRecord<'_>,
     y: &[f64],
@@ -369,16 +372,16 @@ fn report_each_run(
         if alone.iter().filter(|y| !y.is_nan()).count() < 8 {
             continue;
         }
-        let speeds = distinct_speeds(record.spindle_rpm, &alone);
+        let speeds = distinct_speeds_rpm(record.spindle_rpm, &alone);
         let record =
             WarmupRecord { rated_rpm: speeds.last().copied(), set_speed_exponent: 0.0, ..*record };
-        let span = RecordSpan::from_record(&record, &alone);
+        let span = RecordTimeScales::from_record(&record, &alone);
         let base =
             FreeParameters { cool: has_cooling(&record, &alone), ..FreeParameters::default() };
         if let (1 | 0, Some((shape, fit))) =
             (speeds.len(), select_model(record, base, &alone, &span))
         {
-            let mut own = Report::new("warmup", "");
+            let mut own = FitReport::new("warmup", "");
             let model = report_constants(&mut own, &shape, &fit, &span, 1.0);
             squares += fit.residual_squares;
             count += fit.residuals.iter().filter(|residual| !residual.is_nan()).count();
@@ -394,15 +397,17 @@ fn report_each_run(
                 model.exponent,
                 model.time_constant_s()
             );
-            report.facts.push(Fact::text(name, text));
+            report.facts.push(FitFact::text(name, text));
         }
     }
     if count > 0 {
-        report.facts.push(Fact::number("each_run_alone_rms_um", (squares / count as f64).sqrt()));
+        report
+            .facts
+            .push(FitFact::number("each_run_alone_rms_um", (squares / count as f64).sqrt()));
     }
 }
 
-fn warmup_section(model: &Warmup, report: &Report) -> NewSection {
+fn warmup_section(model: &Warmup, report: &FitReport) -> NewSection {
     let mut section = NewSection::new("spindle.warmup")
         .with_number("lag_s", model.lag_s)
         .with_number("warm_s", model.warm_s)

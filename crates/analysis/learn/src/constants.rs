@@ -17,7 +17,7 @@
 use serde::{Deserialize, Serialize};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile,
+    InputFileError, Machine, MachineFile, RunFile,
     effect::{Effect, PredictionStage},
     file::{ElongationSource, LinearAxis, Quantity, writer},
     predict::Predictor,
@@ -49,7 +49,7 @@ impl LearnableConstant {
 
     /// Returns true for the values that are held until a thermometer has moved.
     pub(crate) fn is_held(&self) -> bool {
-        self.is_reference_temperature() || TemperatureRise::parse_key(&self.key).is_some()
+        self.is_reference_temperature() || TemperatureRise::from_key(&self.key).is_some()
     }
 
     /// Returns the unit of its value, by its key.
@@ -71,7 +71,7 @@ impl LearnableConstant {
 /// Returns the unit of a constant, by its key.
 pub(crate) fn unit(key: &str) -> String {
     let name = key.rsplit('.').next().unwrap_or(key);
-    if TemperatureRise::parse_key(key).is_some() {
+    if TemperatureRise::from_key(key).is_some() {
         return "times".into();
     }
     if name.starts_with("width_") {
@@ -126,10 +126,10 @@ pub(crate) fn learnable_constants(
     if let Some(axis) = quantity.axis() {
         let (model, name) = (&machine.axes[axis.index()], axis.name());
         if let Some(thermal) = model.thermal.as_ref().filter(|thermal| thermal.table.is_none()) {
-            if thermal.mode.has_constant() {
+            if thermal.mode.has_constant_term() {
                 add(format!("axis.{name}.thermal.constant_um_per_c"), thermal.constant_um_per_c);
             }
-            if thermal.mode.has_position() {
+            if thermal.mode.has_position_term() {
                 let slope = thermal.slope_um_per_m_per_c;
                 add(format!("axis.{name}.thermal.slope_um_per_m_per_c"), slope);
                 if slope != 0.0 {
@@ -191,7 +191,7 @@ pub(crate) fn replace_constants(source: &str, changed: &[(String, f64)]) -> Opti
     let mut document: DocumentMut = source.parse().ok()?;
     let counts_per_v = counts_per_v(&document);
     let (rises, changed): (Vec<_>, Vec<_>) =
-        changed.iter().partition(|(key, _)| TemperatureRise::parse_key(key).is_some());
+        changed.iter().partition(|(key, _)| TemperatureRise::from_key(key).is_some());
     for (key, number) in changed {
         let (section, name) = key.rsplit_once('.')?;
         let section = find_section(document.as_item_mut(), section)?.as_table_like_mut()?;
@@ -205,7 +205,7 @@ pub(crate) fn replace_constants(source: &str, changed: &[(String, f64)]) -> Opti
     }
     let own: DocumentMut = source.parse().ok()?;
     for (key, number) in rises {
-        TemperatureRise::parse_key(key)?.write_terms(&own, &mut document, number - 1.0)?;
+        TemperatureRise::from_key(key)?.write_terms(&own, &mut document, number - 1.0)?;
     }
     Some(document.to_string())
 }
@@ -271,7 +271,7 @@ pub(crate) struct Sensitivity {
 }
 
 /// Without a second thermometer the air has this temperature.
-const DEFAULT_AIR_C: f64 = 20.0;
+const DEFAULT_AIR_TEMPERATURE_C: f64 = 20.0;
 /// The share by which a thermometer is altered to see what depends on it.
 const RELATIVE_PERTURBATION: f64 = 0.1;
 
@@ -285,8 +285,8 @@ impl Sensitivity {
         (constants, applied): (&[LearnableConstant], &[f64]),
         run: &RunFile,
         quantity: Quantity,
-    ) -> Result<Self, BadInput> {
-        let predicted = |text: &str| -> Result<Vec<f64>, BadInput> {
+    ) -> Result<Self, InputFileError> {
+        let predicted = |text: &str| -> Result<Vec<f64>, InputFileError> {
             let machine = MachineFile::parse(text, run.path())?;
             let index =
                 Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
@@ -298,7 +298,7 @@ impl Sensitivity {
         let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
         for (LearnableConstant { key, believed, .. }, share) in constants.iter().zip(&applied[1..])
         {
-            let rise = TemperatureRise::parse_key(key);
+            let rise = TemperatureRise::from_key(key);
             let has_column = rise.as_ref().is_none_or(|rise| run.column(rise.air).is_some());
             let twice =
                 replace_constants(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
@@ -325,7 +325,7 @@ impl Sensitivity {
                         .iter()
                         .filter(|column| is_one(&column.name) && column.name != name);
                     let there = others.map(|change| change.values[row]).filter(|c| c.is_finite());
-                    there.reduce(f64::min).unwrap_or(DEFAULT_AIR_C)
+                    there.reduce(f64::min).unwrap_or(DEFAULT_AIR_TEMPERATURE_C)
                 })
                 .collect();
             let altered = run.with_altered_values(run.row_count(), |column, values| {
@@ -355,7 +355,7 @@ impl Sensitivity {
 pub(crate) fn measured_quantity(
     run: &RunFile,
     requested: Option<Quantity>,
-) -> Result<Quantity, BadInput> {
+) -> Result<Quantity, InputFileError> {
     let name = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(requested) = requested {
         return run.require_column(&name(requested)).map(|_| requested);

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 11.5 that are needed, at 2 µm), so
-//! three that agree are the least. An event is reported from a size of [`MIN_EVENT_RATIO`] times the scatter on, and of
+//! three that agree are the least. An event is reported from a size of [`MIN_EVENT_TO_SCATTER_RATIO`] times the scatter on, and of
 //! [`MIN_EVENT_PREDICTION_SIGMAS`] times the uncertainty of the prediction: what was never known has not changed. σ is the scatter of the readings
 //! about their predictions, which contains what these are usually uncertain by; only more than that is added.
 //!
@@ -29,19 +29,19 @@ pub(crate) const RETRACTION_LOG_ODDS: f64 = 6.9;
 const OUTLIER_FRACTION: f64 = 0.05;
 const OUTLIER_RANGE_UM: f64 = 200.0;
 /// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
-const MIN_EVENT_RATIO: f64 = 3.0;
+const MIN_EVENT_TO_SCATTER_RATIO: f64 = 3.0;
 /// The smallest event that acts on the estimate, in µm: any tool setter keeps 5 µm, and the estimate follows by itself what a
 /// machine ages by over a weekend (with multiples of the scatter alone the worst of sixty months that age fast is followed worse
 /// than to 3.5 µm). It is reported all the same.
-const MIN_ACTING_EVENT_UM: f64 = 5.0;
+const MIN_ACTIONABLE_EVENT_UM: f64 = 5.0;
 /// The smallest step of the zero that readings count from, in scatters, and in µm: one and a half standard deviations of what is
 /// believed of it before the first reading.
-const MIN_ZERO_STEP_RATIO: f64 = 3.0;
+const MIN_ZERO_STEP_TO_SCATTER_RATIO: f64 = 3.0;
 const MIN_ZERO_STEP_UM: f64 = 7.5;
 
 /// Returns the smallest step of the zero that readings count from, in µm, for a scatter of a reading in µm.
 pub(crate) fn min_zero_step_um(scatter_um: f64) -> f64 {
-    (MIN_ZERO_STEP_RATIO * scatter_um).max(MIN_ZERO_STEP_UM)
+    (MIN_ZERO_STEP_TO_SCATTER_RATIO * scatter_um).max(MIN_ZERO_STEP_UM)
 }
 
 /// And in standard deviations of the prediction.
@@ -52,17 +52,17 @@ const TYPICAL_UNCERTAINTY_RATIO: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
 const MIN_EVENT_READINGS: usize = 3;
 /// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
-const MIN_AGREEMENT_LOG_RATIO: f64 = 0.7;
+const MIN_AGREEMENT_LOG_LIKELIHOOD_RATIO: f64 = 0.7;
 const MIN_SCATTER_READINGS: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
 const SCATTER_FACTORS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
 /// The least share of a scatter's evidence in each half of the readings: a half of the half that it has on average.
-const MIN_HALF_EVIDENCE_FRACTION: f64 = 0.25;
+const MIN_EVIDENCE_FRACTION_PER_HALF: f64 = 0.25;
 /// By this factor at most the scatter of most readings may be below that of all: of twelve it is known to a third.
-const MAX_CORE_RATIO: f64 = 1.5;
+const MAX_TOTAL_TO_CORE_SCATTER_RATIO: f64 = 1.5;
 /// A thermometer that shows m of a rise misses 1/m − 1 of what it shows. Wherever it goes, it shows no more than twice the rise of its
 /// part, and never the opposite.
-const MIN_THERMOMETER_SHARE: f64 = -0.5;
+const MIN_MISSED_RISE_FRACTION: f64 = -0.5;
 /// Standard errors between alternatives that are distinguished.
 const MIN_SEPARATION_SIGMAS: f64 = 4.0;
 
@@ -114,7 +114,7 @@ pub(crate) struct FittedAlternative {
 impl FittedAlternative {
     /// Returns true if it is large enough to act on the estimate.
     pub(crate) fn is_actionable(&self) -> bool {
-        self.alternative == Alternative::Scatter || self.effect_um >= MIN_ACTING_EVENT_UM
+        self.alternative == Alternative::Scatter || self.effect_um >= MIN_ACTIONABLE_EVENT_UM
     }
 }
 
@@ -160,13 +160,14 @@ pub(crate) fn find_best_explanation(
             .collect();
         let is_moved = matches!(alternative, Alternative::Thermometer(_));
         let fitted = fit_alternative(alternative, &e, &h, sigma);
-        let Some(fitted) = fitted.filter(|fitted| !is_moved || fitted.size > MIN_THERMOMETER_SHARE)
+        let Some(fitted) =
+            fitted.filter(|fitted| !is_moved || fitted.size > MIN_MISSED_RISE_FRACTION)
         else {
             continue;
         };
         fits.push(fitted);
-        let least =
-            (MIN_EVENT_RATIO * before.scatter_um[0]).max(MIN_EVENT_PREDICTION_SIGMAS * unknown_um);
+        let least = (MIN_EVENT_TO_SCATTER_RATIO * before.scatter_um[0])
+            .max(MIN_EVENT_PREDICTION_SIGMAS * unknown_um);
         if is_certain || fitted.effect_um >= least {
             all.push((fitted, h));
         }
@@ -174,7 +175,7 @@ pub(crate) fn find_best_explanation(
     // A change that a bad reading hides in looks like a scatter at first.
     let is_hidden =
         |by: &FittedAlternative| fits.iter().any(|fit| fit.gain > RETRACTION_LOG_ODDS.max(by.gain));
-    if let Some(fitted) = fit_scatter(&e, sigma).filter(|fitted| !is_hidden(fitted)) {
+    if let Some(fitted) = fit_scatter_increase(&e, sigma).filter(|fitted| !is_hidden(fitted)) {
         all.push((fitted, Vec::new()));
     }
     let best = (0..all.len()).max_by(|a, b| all[*a].0.gain.total_cmp(&all[*b].0.gain))?;
@@ -280,7 +281,8 @@ fn fit_alternative(
     let (size, gain) = best?;
     let agrees = |(e, h): (&f64, &f64)| {
         let explained = log_likelihood(e - size * h, sigma) - log_likelihood(*e, sigma);
-        explained > MIN_AGREEMENT_LOG_RATIO && inlier_probability(e - size * h, sigma) > 0.5
+        explained > MIN_AGREEMENT_LOG_LIKELIHOOD_RATIO
+            && inlier_probability(e - size * h, sigma) > 0.5
     };
     if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < MIN_EVENT_READINGS {
         return None;
@@ -300,7 +302,7 @@ fn fit_alternative(
 
 /// Fits a larger scatter about a level; `None` where it explains nothing. It must hold in each half of the readings about a level of
 /// its own: a step, or a change whose effect comes and goes, is no scatter of the readings before it.
-fn fit_scatter(e: &[f64], sigma: f64) -> Option<FittedAlternative> {
+fn fit_scatter_increase(e: &[f64], sigma: f64) -> Option<FittedAlternative> {
     if e.len() < MIN_SCATTER_READINGS {
         return None;
     }
@@ -312,13 +314,13 @@ fn fit_scatter(e: &[f64], sigma: f64) -> Option<FittedAlternative> {
     let all = SCATTER_FACTORS.into_iter().map(|s| (s, gain(e, s)));
     let (size, all) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     let (first, last) = e.split_at(e.len() / 2);
-    if [first, last].iter().any(|half| gain(half, size) < MIN_HALF_EVIDENCE_FRACTION * all) {
+    if [first, last].iter().any(|half| gain(half, size) < MIN_EVIDENCE_FRACTION_PER_HALF * all) {
         return None;
     }
     // Some bad readings in a row are no scatter: the median of the magnitude says how the others scatter.
     let level = median(&mut e.to_vec());
     let mut off: Vec<f64> = e.iter().map(|e| (e - level).abs()).collect();
-    if MAX_CORE_RATIO * 1.4826 * median(&mut off) < size * sigma {
+    if MAX_TOTAL_TO_CORE_SCATTER_RATIO * 1.4826 * median(&mut off) < size * sigma {
         return None;
     }
     let error = size / (2.0 * e.len() as f64).sqrt();

@@ -68,7 +68,7 @@ impl EventKind {
 
 /// An event, as the state file and `--json` have it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Event {
+pub struct DetectedEvent {
     /// Its kind.
     pub event: EventKind,
     /// The constant or the temperature column that it belongs to.
@@ -91,7 +91,7 @@ pub struct Event {
     /// The number of the first reading after it.
     pub(crate) sequence: u64,
     /// Its effect on the estimate.
-    pub(crate) action: Action,
+    pub(crate) action: EventAction,
     /// Whether later readings may still change its name and size.
     pub(crate) is_open: bool,
 }
@@ -99,7 +99,7 @@ pub struct Event {
 /// The effect of an event on the estimate, before the first reading after it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Action {
+pub(crate) enum EventAction {
     /// Readings count from a zero that is this many µm higher.
     Zero(f64),
     /// These values change: each by this much, known to a standard deviation.
@@ -110,7 +110,7 @@ pub(crate) enum Action {
     Nothing,
 }
 
-impl Event {
+impl DetectedEvent {
     /// Returns the sentence for the user: what to check, and between which causes the readings do not decide.
     pub(crate) fn advice(kind: EventKind, alternatives: &[EventKind]) -> String {
         if alternatives.is_empty() {
@@ -131,10 +131,10 @@ impl Event {
             self.alternatives.iter().map(|alternative| alternative.name()).collect();
         let names =
             if names.is_empty() { String::new() } else { format!(" ({})", names.join(" or ")) };
-        let at = self.at.map_or(String::new(), |at| format!(" at {}", format_clock(at)));
+        let at = self.at.map_or(String::new(), |at| format!(" at {}", format_timestamp(at)));
         let certain = self
             .certain_at
-            .map_or(String::new(), |at| format!(", certain at {}", format_clock(at)));
+            .map_or(String::new(), |at| format!(", certain at {}", format_timestamp(at)));
         let [low, high] = self.ci95.map(round_to_three_digits);
         format!(
             "{}{names}{of}{at}{certain}: {:+} {} ({low:+} to {high:+}). {}",
@@ -153,7 +153,7 @@ pub(crate) fn round_to_three_digits(number: f64) -> f64 {
 
 /// Returns a clock in s: a date where it can only be seconds of Unix, else seconds.
 #[must_use]
-pub(crate) fn format_clock(s: f64) -> String {
+pub(crate) fn format_timestamp(s: f64) -> String {
     const UNIX_TIME_RANGE_S: std::ops::Range<f64> = 1e9..4e9;
     if !UNIX_TIME_RANGE_S.contains(&s) {
         return format!("{s:.0} s");
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_clock_of_unix_is_a_date_and_another_one_seconds() {
-        assert_eq!(format_clock(1_709_210_096.0), "2024-02-29 12:34 UTC");
-        assert_eq!(format_clock(86_400.0), "86400 s");
+        assert_eq!(format_timestamp(1_709_210_096.0), "2024-02-29 12:34 UTC");
+        assert_eq!(format_timestamp(86_400.0), "86400 s");
     }
 }

@@ -10,7 +10,7 @@ use crate::{
     detect::{
         Alternative, DetectedChange, FittedAlternative, RETRACTION_LOG_ODDS, min_zero_step_um,
     },
-    event::{Action, Event, EventKind, round_to_three_digits},
+    event::{DetectedEvent, EventAction, EventKind, round_to_three_digits},
     learner_state::LearnerState,
     replay::FilterHistory,
     temperature_rise::TemperatureRise,
@@ -23,17 +23,17 @@ const MIN_EVENT_READINGS: usize = 3;
 /// Readings from which on constants are known better than before the first: ten for each of four.
 const MIN_SETTLED_READINGS: u64 = 40;
 /// A step that the readings do not name acts from this many times the smallest one on: the estimate follows a smaller one.
-const UNNAMED_STEP_FACTOR: f64 = 4.0 / 3.0;
+const UNCLASSIFIED_STEP_FACTOR: f64 = 4.0 / 3.0;
 /// Readings after an event from which on its name and size stay: named, and in any case (more than ten shifts of two).
 const CLASSIFICATION_READINGS: usize = 12;
 const MAX_OPEN_EVENT_READINGS: usize = 24;
 /// A step of the zero is the simpler explanation: a constant that is not distinguished from it has to be as much likelier, in
 /// ln of the odds, for the constant to follow.
-const ZERO_STEP_BONUS: f64 = 3.0;
+const ZERO_STEP_LOG_ODDS_BONUS: f64 = 3.0;
 /// After a constant has changed the others are known no better, as a share: what is believed before the first reading.
 const RESTART_RELATIVE_STD: f64 = 0.25;
 /// A zero of which nothing is known, in µm: the filters hold it to what they believe before the first reading.
-const DIFFUSE_ZERO_UM: f64 = 100.0;
+const DIFFUSE_ZERO_STD_UM: f64 = 100.0;
 /// The excess that a moved thermometer may show everywhere, one standard deviation in K: half of what an unheated hall
 /// changes by within a week.
 const MOVED_THERMOMETER_STD_K: f64 = 3.0;
@@ -53,16 +53,20 @@ pub(crate) fn detect_events(memory: &mut LearnerState, believed: &mut FilterHist
 }
 
 /// Returns the events that have an instant.
-fn abrupt_events(memory: &LearnerState) -> impl Iterator<Item = &Event> {
-    let is_slow = |event: &Event| matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
+fn abrupt_events(memory: &LearnerState) -> impl Iterator<Item = &DetectedEvent> {
+    let is_slow =
+        |event: &DetectedEvent| matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
     memory.events.iter().filter(move |event| !is_slow(event))
 }
 
 /// Returns the number of the first reading at which another event may begin. Where constants have changed they are followed first:
 /// what the readings still miss is theirs.
-fn next_event_start(event: &Event) -> u64 {
-    let readings =
-        if matches!(event.action, Action::Shift(_)) { MAX_OPEN_EVENT_READINGS as u64 } else { 1 };
+fn next_event_start(event: &DetectedEvent) -> u64 {
+    let readings = if matches!(event.action, EventAction::Shift(_)) {
+        MAX_OPEN_EVENT_READINGS as u64
+    } else {
+        1
+    };
     event.sequence + readings
 }
 
@@ -99,7 +103,7 @@ fn detect_next_event(memory: &mut LearnerState, believed: &mut FilterHistory, fr
     let all: Vec<(usize, DetectedChange)> = (first..=end.saturating_sub(MIN_EVENT_READINGS))
         .filter(|index| can_start_event(memory.first + *index as u64))
         .filter_map(|index| Some((index, believed.explain_readings(memory, [index, end], None)?)))
-        .filter(|(index, _)| !believed.is_bad_reading_artefact(memory, *index))
+        .filter(|(index, _)| !believed.is_outlier_artefact(memory, *index))
         .collect();
     let is_scatter = |finding: &DetectedChange| finding.best.alternative == Alternative::Scatter;
     // Readings before and after a step scatter as well.
@@ -132,25 +136,27 @@ fn event_from_finding(
     finding: &DetectedChange,
     index: usize,
     scatter_um: f64,
-) -> Event {
+) -> DetectedEvent {
     let best = &finding.best;
-    let (event, constant, scale, unit) = describe_alternative(memory, best);
+    let (event, constant, scale, unit) = classify_alternative(memory, best);
     let mut kinds = vec![event];
     for other in &finding.others {
-        let kind = describe_alternative(memory, other).0;
+        let kind = classify_alternative(memory, other).0;
         if !kinds.contains(&kind) {
             kinds.push(kind);
         }
     }
     let zero = std::iter::once(best).chain(&finding.others);
     let zero = zero.clone().find(|fitted| fitted.alternative == Alternative::Zero);
-    let acting = zero.filter(|zero| zero.gain + ZERO_STEP_BONUS > best.gain).unwrap_or(best);
+    let acting =
+        zero.filter(|zero| zero.gain + ZERO_STEP_LOG_ODDS_BONUS > best.gain).unwrap_or(best);
     let is_named = kinds.len() == 1;
     let alternatives = if is_named { Vec::new() } else { kinds };
-    let smallest = if is_named { 1.0 } else { UNNAMED_STEP_FACTOR } * min_zero_step_um(scatter_um);
+    let smallest =
+        if is_named { 1.0 } else { UNCLASSIFIED_STEP_FACTOR } * min_zero_step_um(scatter_um);
     let does = match event_action(memory, acting, finding) {
-        Action::Zero(um) if um.abs() < smallest => Action::Nothing,
-        _ if !acting.is_actionable() => Action::Nothing,
+        EventAction::Zero(um) if um.abs() < smallest => EventAction::Nothing,
+        _ if !acting.is_actionable() => EventAction::Nothing,
         other => other,
     };
     let event = if is_named { event } else { EventKind::Unknown };
@@ -164,7 +170,7 @@ fn event_from_finding(
         }
     });
     let (low, high) = (low.min(high), low.max(high));
-    Event {
+    DetectedEvent {
         event,
         constant,
         at: memory.window[index].t,
@@ -172,7 +178,7 @@ fn event_from_finding(
         size: round_to_three_digits(size),
         unit,
         ci95: [round_to_three_digits(low), round_to_three_digits(high)],
-        check: Event::advice(event, &alternatives),
+        check: DetectedEvent::advice(event, &alternatives),
         alternatives,
         sequence: memory.first + index as u64,
         action: does,
@@ -181,7 +187,7 @@ fn event_from_finding(
 }
 
 /// Returns the kind of an alternative, what it belongs to, the factor to its unit, and the unit.
-fn describe_alternative(
+fn classify_alternative(
     memory: &LearnerState,
     it: &FittedAlternative,
 ) -> (EventKind, Option<String>, f64, String) {
@@ -207,10 +213,10 @@ fn values_affected_by_air(memory: &LearnerState, own: Option<usize>) -> Vec<(usi
         true => (MOVED_THERMOMETER_STD_K / constant.believed).abs(),
         false => RESTART_RELATIVE_STD,
     };
-    let zero = memory.zero.map(|_| (0, 0.0, DIFFUSE_ZERO_UM));
+    let zero = memory.zero.map(|_| (0, 0.0, DIFFUSE_ZERO_STD_UM));
     let constants = memory.constants.iter().enumerate();
     let constants =
-        constants.filter(|(_, constant)| TemperatureRise::parse_key(&constant.key).is_none());
+        constants.filter(|(_, constant)| TemperatureRise::from_key(&constant.key).is_none());
     let constants = constants.map(|(index, constant)| (index + 1, 0.0, deviation(constant)));
     zero.into_iter().chain(constants.filter(|entry| Some(entry.0) != own)).collect()
 }
@@ -219,7 +225,7 @@ fn values_affected_by_air(memory: &LearnerState, own: Option<usize>) -> Vec<(usi
 fn rise_index(memory: &LearnerState, thermometer: usize) -> Option<usize> {
     let name = memory.thermometers.get(thermometer)?;
     let is_of = |constant: &LearnableConstant| {
-        TemperatureRise::parse_key(&constant.key).is_some_and(|rise| rise.thermometer == name)
+        TemperatureRise::from_key(&constant.key).is_some_and(|rise| rise.thermometer == name)
     };
     memory.constants.iter().position(is_of)
 }
@@ -230,7 +236,7 @@ fn event_action(
     memory: &LearnerState,
     acting: &FittedAlternative,
     finding: &DetectedChange,
-) -> Action {
+) -> EventAction {
     let is_constant = |alternative: &&FittedAlternative| {
         matches!(alternative.alternative, Alternative::Constant(_))
     };
@@ -238,7 +244,7 @@ fn event_action(
     let best = constants.max_by(|a, b| a.gain.total_cmp(&b.gain));
     match acting.alternative {
         // A thousandth of a micrometre: this much is written.
-        Alternative::Zero => Action::Zero((acting.size * 1e3).round() / 1e3),
+        Alternative::Zero => EventAction::Zero((acting.size * 1e3).round() / 1e3),
         Alternative::Constant(index) => {
             let deviation =
                 (2.0 * acting.error).max(acting.size.abs() / 2.0).max(RESTART_RELATIVE_STD);
@@ -255,12 +261,12 @@ fn event_action(
                 _ => None,
             });
             let others = others.chain(rises).map(|other| (other + 1, 0.0, RESTART_RELATIVE_STD));
-            Action::Shift(std::iter::once(own).chain(others).collect())
+            EventAction::Shift(std::iter::once(own).chain(others).collect())
         }
         Alternative::Thermometer(index) => {
             if let Some(place) = rise_index(memory, index) {
                 let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0);
-                return Action::Shift(vec![(place + 1, acting.size, deviation)]);
+                return EventAction::Shift(vec![(place + 1, acting.size, deviation)]);
             }
             // The constant that stands in best for it, roughly.
             let stands_in = best.and_then(|best| match best.alternative {
@@ -268,9 +274,9 @@ fn event_action(
                 _ => None,
             });
             let of_air = values_affected_by_air(memory, stands_in.map(|entry| entry.0));
-            Action::Shift(stands_in.into_iter().chain(of_air).collect())
+            EventAction::Shift(stands_in.into_iter().chain(of_air).collect())
         }
-        Alternative::Scatter => Action::Scatter(acting.size),
+        Alternative::Scatter => EventAction::Scatter(acting.size),
     }
 }
 
@@ -310,7 +316,7 @@ mod tests {
 
     #[test]
     fn changed_constants_are_followed_before_another_event_is_looked_for() {
-        let event = |action: Action| Event {
+        let event = |action: EventAction| DetectedEvent {
             event: EventKind::Unknown,
             constant: None,
             at: None,
@@ -324,9 +330,9 @@ mod tests {
             action,
             is_open: false,
         };
-        assert_eq!(next_event_start(&event(Action::Shift(vec![(1, 0.3, 0.25)]))), 124);
+        assert_eq!(next_event_start(&event(EventAction::Shift(vec![(1, 0.3, 0.25)]))), 124);
         // Of a step the constants know nothing: the next crash may be tomorrow.
-        assert_eq!(next_event_start(&event(Action::Zero(12.0))), 101);
-        assert_eq!(next_event_start(&event(Action::Nothing)), 101);
+        assert_eq!(next_event_start(&event(EventAction::Zero(12.0))), 101);
+        assert_eq!(next_event_start(&event(EventAction::Nothing)), 101);
     }
 }

@@ -54,7 +54,7 @@ fn slope_growth_factor(memory: &LearnerState, constant: &LearnableConstant) -> f
 }
 
 /// Returns the user's file with what is applied.
-pub(crate) fn write_applied_values(
+pub(crate) fn apply_values_to_source(
     source: &str,
     machine: &Machine,
     quantity: Quantity,
@@ -83,19 +83,19 @@ impl LearnerState {
     /// Returns the user's own machine file `source` with what is applied; `None` where it is another machine's, or its
     /// constants are others.
     #[must_use]
-    pub fn apply_to_file(&self, source: &str, path: &std::path::Path) -> Option<String> {
+    pub fn apply_to_source(&self, source: &str, path: &std::path::Path) -> Option<String> {
         let machine = MachineFile::parse(source, path).ok()?;
         let quantity = constants::quantity_by_name(&self.quantity)?;
         let owner = MachineIdentity::from_machine(&machine);
         let constants = constants::learnable_constants(&machine, quantity, self.air.as_deref());
         let is_same = self.machine.is_same_as(&owner) && constants == self.constants;
-        is_same.then(|| write_applied_values(source, &machine, quantity, self))?
+        is_same.then(|| apply_values_to_source(source, &machine, quantity, self))?
     }
 
     /// Returns the values of the constants as they are applied, in their order and unit; `None` for one that is held at the
     /// file's own until something happens to it.
     #[must_use]
-    pub fn values(&self) -> Vec<Option<f64>> {
+    pub fn applied_constant_values(&self) -> Vec<Option<f64>> {
         let shares = self.constants.iter().zip(&self.applied[1..]);
         let value = |(constant, share): (&LearnableConstant, &f64)| {
             let share_own = share / slope_growth_factor(self, constant);

@@ -30,13 +30,13 @@ use trueup_numerics::robust::median;
 /// A reading farther off than this many standard deviations is refused: one good one in 16 000.
 const REJECTION_LIMIT_SIGMAS: f64 = 4.0;
 /// Beyond this many it does not count for more: Huber's bound at which squares of normal noise lose 1 %.
-const HUBER_LIMIT: f64 = 2.0;
-/// This many of the last [`CHANGE_WINDOW`] on one side, all refused, are a change: of 5 % bad readings on either side
+const HUBER_LIMIT_SIGMAS: f64 = 2.0;
+/// This many of the last [`CHANGE_WINDOW_READINGS`] on one side, all refused, are a change: of 5 % bad readings on either side
 /// by chance once in 80 000 readings.
 const MIN_CHANGE_READINGS: usize = 4;
-const CHANGE_WINDOW: usize = 6;
+const CHANGE_WINDOW_READINGS: usize = 6;
 /// The readings whose scatter is R: the median of this many is known to a seventh.
-const NOISE_WINDOW: usize = 64;
+const NOISE_WINDOW_READINGS: usize = 64;
 /// From this many readings on their own scatter is believed.
 const MIN_SCATTER_READINGS: usize = 8;
 /// Before that a reading may scatter by this many times what the instrument is stated to.
@@ -46,14 +46,14 @@ pub(crate) const MIN_NOISE_UM: f64 = 0.1;
 /// This many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
 /// reading says much for or against anything.
 const OUTLIER_FRACTION: f64 = 0.05;
-const DIFFUSE_PRIOR_UM: f64 = 100.0;
+const OUTLIER_HALF_RANGE_UM: f64 = 100.0;
 
 /// The time in which a value that depends on the weather may be anywhere within its prior, in s: the seasons come back in a year.
 const SEASONAL_PERIOD_S: f64 = 365.0 * 86_400.0;
 
 /// The estimate from the readings so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Filter {
+pub(crate) struct RlsFilter {
     /// The time in which it forgets all, in s.
     horizon_s: f64,
     /// For how long what wanders is remembered, in s.
@@ -86,7 +86,7 @@ pub(crate) enum FilterOutcome {
     Changed,
 }
 
-impl Filter {
+impl RlsFilter {
     /// Nothing is known but that each value is 0 within `prior` (standard deviations). Where these are 0
     /// nothing lasts, and the readings only wander. It forgets all in the first time, and what wanders in the second.
     pub fn new([horizon_s, memory_s]: [f64; 2], prior: &[f64], noise_um: f64) -> Self {
@@ -135,7 +135,7 @@ impl Filter {
         let s = self.prediction_variance(&g) + self.noise_um.powi(2);
         let off_um = y_um - self.predict(&g);
         let good = (-0.5 * off_um * off_um / s).exp() / (TAU * s).sqrt();
-        (1.0 - OUTLIER_FRACTION) * good + OUTLIER_FRACTION / (2.0 * DIFFUSE_PRIOR_UM)
+        (1.0 - OUTLIER_FRACTION) * good + OUTLIER_FRACTION / (2.0 * OUTLIER_HALF_RANGE_UM)
     }
 
     /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders; and the upper end of what
@@ -161,7 +161,7 @@ impl Filter {
             for off_um in off_um() {
                 let good = (-0.5 * (off_um / um).powi(2)).exp() / (TAU.sqrt() * um);
                 let good = (1.0 - OUTLIER_FRACTION) * good;
-                let weight = good / (good + OUTLIER_FRACTION / (2.0 * DIFFUSE_PRIOR_UM));
+                let weight = good / (good + OUTLIER_FRACTION / (2.0 * OUTLIER_HALF_RANGE_UM));
                 weights += weight;
                 squares += weight * off_um * off_um;
             }
@@ -263,7 +263,7 @@ impl Filter {
         let is_refused = deviations.abs() > REJECTION_LIMIT_SIGMAS;
         let side = if is_refused { deviations.signum() as i8 } else { 0 };
         self.last.push((side, g.clone(), y_um));
-        if self.last.len() > CHANGE_WINDOW {
+        if self.last.len() > CHANGE_WINDOW_READINGS {
             self.last.remove(0);
         }
         if !is_refused {
@@ -299,7 +299,7 @@ impl Filter {
         let unknown = self.prediction_variance(g);
         let s = unknown + self.noise_um.powi(2);
         let off_um = y_um - self.predict(g);
-        let held_um = off_um.clamp(-HUBER_LIMIT * s.sqrt(), HUBER_LIMIT * s.sqrt());
+        let held_um = off_um.clamp(-HUBER_LIMIT_SIGMAS * s.sqrt(), HUBER_LIMIT_SIGMAS * s.sqrt());
         let pg = self.multiply_covariance(g);
         let n = g.len();
         for i in 0..n {
@@ -309,7 +309,7 @@ impl Filter {
             }
         }
         self.taken.push([off_um.abs(), unknown]);
-        if self.taken.len() > NOISE_WINDOW {
+        if self.taken.len() > NOISE_WINDOW_READINGS {
             self.taken.remove(0);
         }
         if self.taken.len() >= MIN_SCATTER_READINGS {
@@ -341,8 +341,8 @@ mod tests {
 
     const HOUR: f64 = 3600.0;
 
-    fn settled() -> Filter {
-        let mut filter = Filter::new([1e7, 3e4], &[5.0, 0.25], 1.0);
+    fn settled() -> RlsFilter {
+        let mut filter = RlsFilter::new([1e7, 3e4], &[5.0, 0.25], 1.0);
         for n in 0..40 {
             filter.advance_time(HOUR);
             let g = [1.0, 20.0 + 10.0 * f64::from(n % 5)];
@@ -407,7 +407,7 @@ mod tests {
     #[test]
     fn a_value_that_an_event_freed_goes_at_the_pace_of_the_seasons() {
         let widths = |horizon_s: f64| {
-            let mut filter = Filter::new([horizon_s, 3e4], &[0.0, 0.25], 1.0);
+            let mut filter = RlsFilter::new([horizon_s, 3e4], &[0.0, 0.25], 1.0);
             filter.advance_time(100.0 * HOUR);
             assert_eq!(filter.confidence_half_widths()[0], 0.0, "it is held");
             filter.shift_value((0, 0.0, 3.0));

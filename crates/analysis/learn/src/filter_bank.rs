@@ -18,20 +18,22 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, FilterOutcome};
+use crate::filter::{FilterOutcome, RlsFilter};
 
-const HOUR_S: f64 = 3600.0;
-const DAY_S: f64 = 24.0 * HOUR_S;
+const SECONDS_PER_HOUR: f64 = 3600.0;
+const SECONDS_PER_DAY: f64 = 24.0 * SECONDS_PER_HOUR;
 /// The times in which the filters forget: a constant may go anywhere within its bounds in four days, in a
 /// month, in four years. Between events most constants stay, and the slowest is what knows these well.
-const FORGETTING_TIMES_S: [f64; 3] = [1460.0 * DAY_S, 30.0 * DAY_S, 4.0 * DAY_S];
+const FORGETTING_TIMES_S: [f64; 3] =
+    [1460.0 * SECONDS_PER_DAY, 30.0 * SECONDS_PER_DAY, 4.0 * SECONDS_PER_DAY];
 /// The memories of what wanders: an hour, a shift, three days, a factor of about ten apart.
-const CORRELATION_TIMES_S: [f64; 3] = [HOUR_S, 8.0 * HOUR_S, 72.0 * HOUR_S];
+const CORRELATION_TIMES_S: [f64; 3] =
+    [SECONDS_PER_HOUR, 8.0 * SECONDS_PER_HOUR, 72.0 * SECONDS_PER_HOUR];
 /// The readings by which they are compared: three days of work at one each half hour.
-const COMPARISON_WINDOW: usize = 48;
+const COMPARISON_WINDOW_READINGS: usize = 48;
 /// The file is left without cause at most once in 100 000 readings: at twenty in a day of work, once in twenty years. Of
 /// simulated ones, one in twenty bad, it was 6 times in 800 000; with N = 100 000 it was 30 times.
-pub(crate) const DECISION_ODDS: f64 = 1e7;
+pub(crate) const DECISION_LIKELIHOOD_RATIO: f64 = 1e7;
 
 /// The original file, and what was learned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -48,7 +50,7 @@ pub(crate) struct FilterBank {
 /// Filters that count by how well they have predicted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct FilterMixture {
-    filters: Vec<Filter>,
+    filters: Vec<RlsFilter>,
     /// Their sum is 1.
     weights: Vec<f64>,
 }
@@ -58,11 +60,11 @@ impl FilterBank {
     pub fn new(prior: &[f64], noise_um: f64) -> Self {
         let nothing = vec![0.0; prior.len()];
         let right =
-            CORRELATION_TIMES_S.map(|memory_s| Filter::new([1.0, memory_s], &nothing, noise_um));
+            CORRELATION_TIMES_S.map(|memory_s| RlsFilter::new([1.0, memory_s], &nothing, noise_um));
         let every = FORGETTING_TIMES_S.iter().flat_map(|horizon_s| {
             CORRELATION_TIMES_S.map(|correlation_time_s| [*horizon_s, correlation_time_s])
         });
-        let changing = every.map(|times_s| Filter::new(times_s, prior, noise_um));
+        let changing = every.map(|times_s| RlsFilter::new(times_s, prior, noise_um));
         Self {
             file: FilterMixture::new(right.into()),
             learned: FilterMixture::new(changing.collect()),
@@ -82,7 +84,7 @@ impl FilterBank {
         };
         of(&self.file, CORRELATION_TIMES_S.len())
             && of(&self.learned, CORRELATION_TIMES_S.len() * FORGETTING_TIMES_S.len())
-            && (0.0..=DECISION_ODDS.ln()).contains(&self.evidence)
+            && (0.0..=DECISION_LIKELIHOOD_RATIO.ln()).contains(&self.evidence)
     }
 
     /// Returns what is believed of the zero (in µm) and of the shares of the constants; `None`: the original file.
@@ -92,7 +94,7 @@ impl FilterBank {
 
     /// Returns half the 95 % interval of each value, by the filter that counts most.
     pub(crate) fn confidence_half_widths(&self) -> Vec<f64> {
-        self.learned.filters[self.learned.dominant_filter()].confidence_half_widths()
+        self.learned.filters[self.learned.dominant_filter_index()].confidence_half_widths()
     }
 
     /// Returns the zero in µm and the shares by the filters together, applied or not.
@@ -102,7 +104,7 @@ impl FilterBank {
 
     /// Returns the scatter of a reading about its prediction, in µm, and its upper end, by the filter that counts most.
     pub(crate) fn scatter_um(&self) -> [f64; 2] {
-        self.learned.filters[self.learned.dominant_filter()].scatter_um()
+        self.learned.filters[self.learned.dominant_filter_index()].scatter_um()
     }
 
     /// Returns the standard deviation of the prediction at `g` in µm: of each filter, and between them.
@@ -122,7 +124,7 @@ impl FilterBank {
     /// learned is applied.
     pub(crate) fn shift_value(&mut self, change: (usize, f64, f64)) {
         self.learned.filters.iter_mut().for_each(|filter| filter.shift_value(change));
-        self.evidence = DECISION_ODDS.ln();
+        self.evidence = DECISION_LIKELIHOOD_RATIO.ln();
         self.is_applied = true;
     }
 
@@ -151,7 +153,7 @@ impl FilterBank {
 
     /// This many times likelier than by the original file the readings are by what was learned, since the file was last
     /// as good; never counted beyond what is enough.
-    pub(crate) fn odds(&self) -> f64 {
+    pub(crate) fn likelihood_ratio(&self) -> f64 {
         self.evidence.exp()
     }
 
@@ -172,10 +174,10 @@ impl FilterBank {
         if !matches!(fate, FilterOutcome::Refused { .. }) {
             self.missed_um.push([y_um.abs(), (y_um - learned_um).abs()]);
         }
-        if self.missed_um.len() > COMPARISON_WINDOW {
+        if self.missed_um.len() > COMPARISON_WINDOW_READINGS {
             self.missed_um.remove(0);
         }
-        let enough = DECISION_ODDS.ln();
+        let enough = DECISION_LIKELIHOOD_RATIO.ln();
         self.evidence = (self.evidence + (by_learned / by_file).ln()).clamp(0.0, enough);
         if self.evidence >= enough {
             self.is_applied = true;
@@ -187,14 +189,14 @@ impl FilterBank {
 }
 
 impl FilterMixture {
-    fn new(filters: Vec<Filter>) -> Self {
+    fn new(filters: Vec<RlsFilter>) -> Self {
         let weights = vec![1.0 / filters.len() as f64; filters.len()];
         Self { filters, weights }
     }
 
     /// Takes a reading. Returns how likely it thought the reading to be, and what became of it.
     fn process_reading(&mut self, g: &[f64], y_um: f64) -> (f64, FilterOutcome) {
-        let forgets = 1.0 - 1.0 / COMPARISON_WINDOW as f64;
+        let forgets = 1.0 - 1.0 / COMPARISON_WINDOW_READINGS as f64;
         let before: Vec<f64> = self.weights.iter().map(|weight| weight.powf(forgets)).collect();
         let all: f64 = before.iter().sum();
         let likelihoods = self.filters.iter().map(|filter| filter.likelihood(g, y_um));
@@ -202,7 +204,7 @@ impl FilterMixture {
             before.iter().zip(likelihoods).map(|(weight, p)| weight / all * p).collect();
         let likelihood: f64 = joint.iter().sum();
         self.weights = joint.iter().map(|p| p / likelihood).collect();
-        let first = self.dominant_filter();
+        let first = self.dominant_filter_index();
         let fates: Vec<FilterOutcome> =
             self.filters.iter_mut().map(|filter| filter.process_reading(g, y_um)).collect();
         (likelihood, fates[first])
@@ -220,7 +222,7 @@ impl FilterMixture {
     }
 
     /// Returns the filter that counts most.
-    fn dominant_filter(&self) -> usize {
+    fn dominant_filter_index(&self) -> usize {
         let all = 0..self.weights.len();
         all.max_by(|a, b| self.weights[*a].total_cmp(&self.weights[*b])).unwrap_or(0)
     }

@@ -4,7 +4,7 @@ use std::{borrow::Cow, collections::HashSet};
 
 use serde::Serialize;
 use trueup_machine::{
-    BadInput, Location, Machine, MachineFile, RunFile,
+    InputFileError, Location, Machine, MachineFile, RunFile,
     applied_offsets::{
         FactorEstimate, OffsetApplication, UncompensatedRun, estimate_application,
         repeat_run_instruction,
@@ -14,13 +14,13 @@ use trueup_machine::{
 
 use crate::{
     constants::{self, Sensitivity},
-    event::{Action, Event, format_clock},
+    event::{DetectedEvent, EventAction, format_timestamp},
     event_monitor::detect_events,
-    file_update::{MIN_RELATIVE_CHANGE, applied_values, write_applied_values},
+    file_update::{MIN_RELATIVE_CHANGE, applied_values, apply_values_to_source},
     filter::FilterOutcome,
     learner_notes::{describe_belief, describe_reached_bound},
-    learner_state::{DailyChange, LearnerState, StoredReading, hash_digits},
-    limits::{Limits, prediction_change_um},
+    learner_state::{DailyChange, LearnerState, StoredReading, format_hash},
+    limits::{LearningLimits, prediction_change_um},
     probe_checks,
     readings::{self, GaugeReading, MAX_RELATIVE_START_S},
     reconcile::reconcile_state,
@@ -30,7 +30,7 @@ use crate::{
 
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
-const CNC_AMBIGUOUS_CHANGE: f64 = 0.4;
+const MAX_UNAMBIGUOUS_CHANGE: f64 = 0.4;
 /// A clock that was set back by at most this, in s, may be local time.
 const MAX_CLOCK_SET_BACK_S: f64 = 3600.0;
 const CLOCK_SET_BACK_NOTE: &str = ". If the clock was set back by an hour (the end of summer time), write each time with its offset \
@@ -69,7 +69,7 @@ pub struct LearningResult {
     /// Whether a bound was reached, or what was learned may not be applied.
     pub is_held: bool,
     /// Events that this record has made certain, or has named.
-    pub news: Vec<Event>,
+    pub news: Vec<DetectedEvent>,
     /// Whether something that was known is no longer kept: a constant that was changed by hand.
     pub has_restarted: bool,
     /// Sentences for the user.
@@ -81,27 +81,27 @@ pub struct LearningResult {
 /// # Errors
 /// `source` is no machine file, or has no constant that can follow; `memory` is of another machine or quantity; the run
 /// measures nothing, or has a reading at or before the last clock that was not learned from.
-pub fn learn(
+pub fn learn_from_run(
     source: &str,
     path: &std::path::Path,
     run: &RunFile,
     requested: Option<Quantity>,
     memory: Option<LearnerState>,
-    limits: &Limits,
-) -> Result<LearningResult, BadInput> {
+    limits: &LearningLimits,
+) -> Result<LearningResult, InputFileError> {
     let machine = MachineFile::parse(source, path)?;
-    let bad = |rule: String| BadInput::new(Location::start_of_file(path), rule);
+    let bad = |rule: String| InputFileError::new(Location::start_of_file(path), rule);
     let mut notes = Vec::new();
     let quantity = constants::measured_quantity(run, requested)?;
     let (mut memory, has_restarted) = reconcile_state(
         memory,
         &machine,
-        (quantity, temperature_rise::air_column(run)),
+        (quantity, temperature_rise::air_column_name(run)),
         &mut notes,
     )
     .map_err(bad)?;
-    let before =
-        write_applied_values(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
+    let before = apply_values_to_source(source, &machine, quantity, &memory)
+        .unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
     let (run, run_notes) =
@@ -109,7 +109,7 @@ pub fn learn(
     notes.extend(run_notes);
     let has_bridge = has_engaged_bridge(&run, &ran, quantity)?;
     let record = readings::collect_readings(&run, quantity)?;
-    let (new, seen) = filter_unseen_readings(&record, &memory, &run, &mut notes)?;
+    let (new, seen) = select_unseen_readings(&record, &memory, &run, &mut notes)?;
     let sensitivity =
         Sensitivity::from_run(source, (&memory.constants, &memory.applied), &run, quantity)?;
     let old = memory.events.clone();
@@ -132,10 +132,10 @@ pub fn learn(
                 is_applied_once_until(&run, &ran, quantity, reading.row);
         }
         if let Some(um) = reading.check_um {
-            learner.record_check(reading.time_s, um);
+            learner.record_probe_check(reading.time_s, um);
         }
         if let Some(um) = reading.um {
-            let (taken, held) = learner.learn_reading(reading, um, !has_bridge);
+            let (taken, held) = learner.learn_from_reading(reading, um, !has_bridge);
             readings.push(taken);
             is_held |= held.is_bound;
             forbids = held.forbids;
@@ -143,7 +143,7 @@ pub fn learn(
         learner.memory.mark_seen(reading.identity);
     }
     let Learner { memory, believed, .. } = learner;
-    let after = write_applied_values(source, &machine, quantity, &memory)
+    let after = apply_values_to_source(source, &machine, quantity, &memory)
         .ok_or_else(|| bad("cannot be written with other constants".into()))?;
     MachineFile::parse(&after, path)?;
     let is_bound = is_held;
@@ -153,7 +153,7 @@ pub fn learn(
         notes.push(describe_reached_bound(limits));
     }
     notes.extend(probe_checks::overdue_check_note(&memory));
-    let is_news = |event: &&Event| {
+    let is_news = |event: &&DetectedEvent| {
         !old.iter().any(|other| other.sequence == event.sequence && other.event == event.event)
     };
     let news = memory.events.iter().filter(is_news).cloned().collect();
@@ -178,19 +178,19 @@ pub fn learn(
 ///
 /// # Errors
 /// One that was not lies at or before the last clock.
-fn filter_unseen_readings(
+fn select_unseen_readings(
     record: &[GaugeReading],
     memory: &LearnerState,
     run: &RunFile,
     notes: &mut Vec<String>,
-) -> Result<(Vec<GaugeReading>, usize), BadInput> {
+) -> Result<(Vec<GaugeReading>, usize), InputFileError> {
     let (seen, before) = (memory.seen_hashes(), memory.legacy_seen_hashes());
     let is_seen = |reading: &GaugeReading| {
         let may_be = match (reading.time_s, memory.last_s) {
             (Some(time_s), Some(last_s)) => time_s <= last_s,
             _ => true,
         };
-        let is_in = |all: &HashSet<&str>, hash: u64| all.contains(hash_digits(hash).as_str());
+        let is_in = |all: &HashSet<&str>, hash: u64| all.contains(format_hash(hash).as_str());
         may_be && (is_in(&seen, reading.identity) || is_in(&before, reading.identity_before))
     };
     let new: Vec<GaugeReading> =
@@ -210,8 +210,8 @@ fn filter_unseen_readings(
             let rule = format!(
                 "{} is at or before the last reading that was learned from ({}), and was not \
                  learned from. Give the records in the order in which they were taken{}",
-                format_clock(early_s),
-                format_clock(last_s),
+                format_timestamp(early_s),
+                format_timestamp(last_s),
                 if last_s - early_s <= MAX_CLOCK_SET_BACK_S { CLOCK_SET_BACK_NOTE } else { "" }
             );
             return Err(run.value_error(early.row, "time_s", rule));
@@ -245,7 +245,7 @@ fn has_engaged_bridge(
     run: &UncompensatedRun<'_>,
     ran: &Machine,
     quantity: Quantity,
-) -> Result<bool, BadInput> {
+) -> Result<bool, InputFileError> {
     match estimate_application(std::slice::from_ref(run), Some(ran), quantity) {
         OffsetApplication::Nothing => Ok(false),
         OffsetApplication::Once(_) | OffsetApplication::Unknown(_) => Ok(true),
@@ -255,7 +255,7 @@ fn has_engaged_bridge(
                 factor.describe(),
                 FactorEstimate::troubleshooting_steps().join(" ")
             );
-            Err(BadInput::new(Location::start_of_file(run.path()), rule))
+            Err(InputFileError::new(Location::start_of_file(run.path()), rule))
         }
     }
 }
@@ -292,7 +292,7 @@ struct Learner<'a> {
     sensitivity: &'a Sensitivity,
     /// The place in the state of each thermometer of the record.
     columns: Vec<usize>,
-    limits: &'a Limits,
+    limits: &'a LearningLimits,
     /// Rows so far in which a constant does most and least.
     extremes: Vec<usize>,
     /// Rows that were looked at for them.
@@ -301,13 +301,13 @@ struct Learner<'a> {
 
 impl Learner<'_> {
     /// Takes a check of the probe.
-    fn record_check(&mut self, time_s: Option<f64>, um: f64) {
+    fn record_probe_check(&mut self, time_s: Option<f64>, um: f64) {
         probe_checks::add_check(&mut self.memory, time_s, um, self.believed.bank.scatter_um()[0]);
         self.believed = FilterHistory::from_state(&self.memory);
     }
 
     /// Takes one reading: what became of it, and what held it.
-    fn learn_reading(
+    fn learn_from_reading(
         &mut self,
         reading: &GaugeReading,
         um: f64,
@@ -371,8 +371,9 @@ impl Learner<'_> {
             }
         }
         if taken.used {
-            let missed_um = replay::corrected_reading(memory, &memory.window[last], sequence, None)
-                - prediction_change_um(g, &lasting);
+            let missed_um =
+                replay::corrected_reading_um(memory, &memory.window[last], sequence, None)
+                    - prediction_change_um(g, &lasting);
             let before = &memory.window[..last];
             let observations = wear::backlash_observations(
                 &memory.constants,
@@ -434,9 +435,11 @@ impl Learner<'_> {
 
 /// Returns how many readings the present change rests on: all since an event that is new, or has another name than `before`; else this
 /// one.
-fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
-    let name = |event: &Event| (event.sequence, event.event, event.constant.clone());
-    let acts = |event: &&Event| matches!(event.action, Action::Zero(_) | Action::Shift(_));
+fn supporting_reading_count(memory: &LearnerState, before: &[DetectedEvent]) -> u64 {
+    let name = |event: &DetectedEvent| (event.sequence, event.event, event.constant.clone());
+    let acts = |event: &&DetectedEvent| {
+        matches!(event.action, EventAction::Zero(_) | EventAction::Shift(_))
+    };
     let new = memory.events.iter().filter(acts);
     let new = new.filter(|event| !before.iter().any(|other| name(other) == name(event)));
     new.map(|event| memory.next_sequence().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
@@ -449,7 +452,7 @@ fn rejection_reason(
     is_factor_known: bool,
 ) -> Option<String> {
     let moves = |(to, from): (&f64, &f64)| (to - from).abs() > MIN_RELATIVE_CHANGE;
-    let is_as_a_cnc = target[1..].iter().any(|share| share.abs() > CNC_AMBIGUOUS_CHANGE);
+    let is_as_a_cnc = target[1..].iter().any(|share| share.abs() > MAX_UNAMBIGUOUS_CHANGE);
     let is_moved = target.iter().zip(&memory.applied).any(moves);
     (is_moved && is_as_a_cnc && !is_factor_known)
         .then(|| format!("Nothing is applied. {}", repeat_run_instruction()))

@@ -1,6 +1,8 @@
 //! Sentences for the user about what was learned from a record.
 
-use crate::{filter_bank::DECISION_ODDS, limits::Limits, replay::FilterHistory};
+use crate::{
+    filter_bank::DECISION_LIKELIHOOD_RATIO, limits::LearningLimits, replay::FilterHistory,
+};
 
 /// Returns which of the two is believed, in a sentence.
 pub(crate) fn describe_belief(believed: &FilterHistory) -> String {
@@ -12,18 +14,18 @@ pub(crate) fn describe_belief(believed: &FilterHistory) -> String {
             "before their use, the last {count} readings differed from the current machine file by {file_um:.2} µm on average, from the learned constants by {own_um:.2} µm"
         ),
     };
-    let odds = bank.odds();
+    let odds = bank.likelihood_ratio();
     match bank.learned_values() {
         Some(_) => format!("What was learned is applied: {figures}."),
         None => format!(
             "The current machine file stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
-             {DECISION_ODDS:.0} times would be enough."
+             {DECISION_LIKELIHOOD_RATIO:.0} times would be enough."
         ),
     }
 }
 
 /// Returns the advice to measure again where a bound was reached.
-pub(crate) fn describe_reached_bound(limits: &Limits) -> String {
+pub(crate) fn describe_reached_bound(limits: &LearningLimits) -> String {
     format!(
         "A bound was reached ({:.0} % of a constant, or {} µm together): the machine is no longer the one \
          that was measured. Measure it again: trueup fit, or trueup diagnose.",

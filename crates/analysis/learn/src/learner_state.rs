@@ -17,14 +17,14 @@ use serde::{Deserialize, Serialize};
 use trueup_machine::Machine;
 
 use crate::{
-    constants::LearnableConstant, event::Event, filter_bank::FilterBank,
+    constants::LearnableConstant, event::DetectedEvent, filter_bank::FilterBank,
     wear_regression::RegressionSums,
 };
 
 /// Readings that are known by their hash: a year at thirty a day, 8 bytes each.
 const MAX_SEEN_READINGS: usize = 12_000;
 /// Digits of a hash.
-const HASH_DIGITS: usize = 8;
+const HASH_DIGIT_COUNT: usize = 8;
 /// Changes that are listed: one a day at most, a year and a half of days.
 const MAX_CHANGES: usize = 400;
 
@@ -110,7 +110,7 @@ pub struct LearnerState {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) air: Option<String>,
     /// The events, the latest last.
-    pub events: Vec<Event>,
+    pub events: Vec<DetectedEvent>,
     /// Every change, the latest last.
     pub changes: Vec<DailyChange>,
     /// Checks of the probe: the clock in s, and the reading of a certified reference less its value at 20 °C, in µm.
@@ -202,7 +202,7 @@ impl LearnerState {
             serde_json::from_str(text).map_err(|error| error.to_string())?;
         let memory: Self = match schema {
             SCHEMA_VERSION => serde_json::from_str(text).map_err(|error| error.to_string())?,
-            PREVIOUS_SCHEMA_VERSION => read_older_schema(text)?,
+            PREVIOUS_SCHEMA_VERSION => read_previous_schema(text)?,
             other => {
                 return Err(format!(
                     "schema is {other}, and this version reads {SCHEMA_VERSION}: --reset begins anew and keeps a backup"
@@ -221,7 +221,7 @@ impl LearnerState {
                     && change.values.iter().all(|(place, ..)| *place < values)
             })
             && memory.events.iter().all(|event| match &event.action {
-                crate::event::Action::Shift(all) => all.iter().all(|entry| entry.0 < values),
+                crate::event::EventAction::Shift(all) => all.iter().all(|entry| entry.0 < values),
                 _ => true,
             });
         if is_whole {
@@ -264,7 +264,7 @@ impl LearnerState {
     ///
     /// # Errors
     /// There is none, or its readings are no longer kept; the rule.
-    pub fn undo(&mut self) -> Result<DailyChange, String> {
+    pub fn undo_last_change(&mut self) -> Result<DailyChange, String> {
         let index = self.changes.iter().rposition(|change| change.before.is_some());
         let index = index.ok_or("has no change that is not taken back already")?;
         let (sequence, applied) = self.changes[index].before.clone().unwrap_or_default();
@@ -315,9 +315,9 @@ impl LearnerState {
 
     /// Remembers that a reading was learned from.
     pub(crate) fn mark_seen(&mut self, identity: u64) {
-        self.seen += &hash_digits(identity);
-        if self.seen.len() > MAX_SEEN_READINGS * HASH_DIGITS {
-            self.seen.drain(..HASH_DIGITS);
+        self.seen += &format_hash(identity);
+        if self.seen.len() > MAX_SEEN_READINGS * HASH_DIGIT_COUNT {
+            self.seen.drain(..HASH_DIGIT_COUNT);
         }
     }
 }
@@ -337,7 +337,7 @@ struct LegacyLearnerState {
 }
 
 /// Reads the form before this one; nothing of it is lost but the way back, which stays in the backup. Its owner has no name yet: the old form did not say whose it was.
-fn read_older_schema(text: &str) -> Result<LearnerState, String> {
+fn read_previous_schema(text: &str) -> Result<LearnerState, String> {
     let old: LegacyLearnerState = serde_json::from_str(text).map_err(|error| error.to_string())?;
     let machine = MachineIdentity { name: String::new(), serial: None };
     Ok(LearnerState {
@@ -346,17 +346,19 @@ fn read_older_schema(text: &str) -> Result<LearnerState, String> {
         is_applied_once: old.is_applied_once,
         checkpoint_s: old.last_s,
         first: old.readings.len() as u64,
-        seen_before: old.readings.iter().map(|hash| hash_digits(*hash)).collect(),
+        seen_before: old.readings.iter().map(|hash| format_hash(*hash)).collect(),
         ..LearnerState::new(machine, old.quantity, old.constants, old.bank)
     })
 }
 
 fn split_hashes(all: &str) -> HashSet<&str> {
-    (0..all.len() / HASH_DIGITS).map(|n| &all[n * HASH_DIGITS..(n + 1) * HASH_DIGITS]).collect()
+    (0..all.len() / HASH_DIGIT_COUNT)
+        .map(|n| &all[n * HASH_DIGIT_COUNT..(n + 1) * HASH_DIGIT_COUNT])
+        .collect()
 }
 
 /// Returns the lower half of a hash, in hexadecimal digits.
-pub(crate) fn hash_digits(hash: u64) -> String {
+pub(crate) fn format_hash(hash: u64) -> String {
     format!("{:08x}", hash & 0xffff_ffff)
 }
 

@@ -49,8 +49,8 @@ mod wear;
 mod wear_regression;
 
 pub use constants::LearnableConstant;
-pub use event::{Event, EventKind};
-pub use learn::{LearningResult, ReadingOutcome, learn};
+pub use event::{DetectedEvent, EventKind};
+pub use learn::{LearningResult, ReadingOutcome, learn_from_run};
 pub use learner_state::{DailyChange, LearnerState, MachineIdentity};
-pub use limits::Limits;
+pub use limits::LearningLimits;
 pub use live_update::LiveUpdate;

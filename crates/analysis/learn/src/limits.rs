@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Bounds of what is learned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Limits {
+pub struct LearningLimits {
     /// A constant is never changed by more than this share of what the user's file says; above 0.
     pub share: f64,
     /// In no row does all that is learned change the correction by more, in µm; above 0.
@@ -14,7 +14,7 @@ pub struct Limits {
     pub step_um: f64,
 }
 
-impl Default for Limits {
+impl Default for LearningLimits {
     /// A constant at most doubles and keeps its sign: what is farther off is another machine, and is to be
     /// measured. 100 µm together: half of what the clamp of X and Y lets through by default. 5 µm by a reading:
     /// a twentieth of that.
@@ -23,7 +23,7 @@ impl Default for Limits {
     }
 }
 
-impl Limits {
+impl LearningLimits {
     /// Returns `target` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
     pub(crate) fn clamp_to_limits<'a>(
         &self,
@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn a_constant_all_together_and_one_reading_are_held() {
-        let limits = Limits { share: 0.3, total_um: 20.0, step_um: 2.0 };
+        let limits = LearningLimits { share: 0.3, total_um: 20.0, step_um: 2.0 };
         let rows = vec![vec![1.0, 50.0]];
         assert_eq!(limits.clamp_to_limits(&[0.0, 0.2], &rows), (vec![0.0, 0.2], false));
         assert_eq!(

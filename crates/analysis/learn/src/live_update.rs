@@ -15,9 +15,9 @@
 
 use trueup_core::learned::{LearnedLimits, PART_COUNT};
 use trueup_machine::{
-    BadInput, Machine, compile,
+    InputFileError, Machine, compile,
     decompile::changes::describe_changes,
-    file::{ElongationSource, LearnedCaps, LinearAxis},
+    file::{ElongationSource, LearnedChangeLimits, LinearAxis},
 };
 
 /// Units of a share, and of the zero in µm.
@@ -46,14 +46,14 @@ impl LiveUpdate {
     ///
     /// # Errors
     /// One of them is not for a board.
-    pub fn from_difference(runs: &Machine, learned: &Machine) -> Result<Self, BadInput> {
+    pub fn from_difference(runs: &Machine, learned: &Machine) -> Result<Self, InputFileError> {
         // What the bridge makes of the first by what it is sent: the rest is where that differs from the second.
         let mut sent = runs.clone();
         let mut live = Self::default();
-        let [share, zero_um] = growth_difference(&mut sent, learned);
+        let [share, zero_um] = apply_growth_difference(&mut sent, learned);
         live.request_units(0, share * UNITS_PER_SHARE, runs);
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
-            let share = expansion_difference(&mut sent, learned, axis);
+            let share = apply_expansion_difference(&mut sent, learned, axis);
             live.request_units(place + 1, share * UNITS_PER_SHARE, runs);
         }
         live.request_units(PART_COUNT - 1, zero_um * UNITS_PER_UM, runs);
@@ -69,7 +69,7 @@ impl LiveUpdate {
 
     /// Requests this many units of a part, as far as its cap permits.
     fn request_units(&mut self, part: usize, units: f64, runs: &Machine) {
-        let most = f64::from(board_caps(runs.limits.learned).max_change(part));
+        let most = f64::from(to_board_limits(runs.limits.learned).max_change(part));
         let units = units.round();
         let held = units.clamp(-most, most);
         if held != units {
@@ -97,7 +97,7 @@ pub fn describe_amounts(amounts: &[i32; PART_COUNT]) -> Option<String> {
 }
 
 /// As the board has them.
-fn board_caps(caps: LearnedCaps) -> LearnedLimits {
+fn to_board_limits(caps: LearnedChangeLimits) -> LearnedLimits {
     let tenths = |cap: f64| (cap * 10.0).round() as u8;
     LearnedLimits {
         growth: tenths(caps.growth_percent),
@@ -107,7 +107,7 @@ fn board_caps(caps: LearnedCaps) -> LearnedLimits {
 }
 
 /// Returns the share and the zero in µm by which the growth differs. `sent` gets the values of `learned`.
-fn growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
+fn apply_growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
     let (to, from) = (&mut sent.spindle, &learned.spindle);
     let none = [0.0; 2];
     if to.source != from.source {
@@ -147,11 +147,11 @@ fn growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
 }
 
 /// Returns the share by which the expansion of an axis differs. `sent` gets both values, scaled alike.
-fn expansion_difference(sent: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
+fn apply_expansion_difference(sent: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
     let from = learned.axes[axis.index()].thermal.as_ref();
     let to = sent.axes[axis.index()].thermal.as_mut();
     let (Some(to), Some(from)) = (to, from) else { return 0.0 };
-    let uses = [to.mode.has_constant(), to.mode.has_position()];
+    let uses = [to.mode.has_constant_term(), to.mode.has_position_term()];
     let was = [to.constant_um_per_c, to.slope_um_per_m_per_c];
     let is = [from.constant_um_per_c, from.slope_um_per_m_per_c];
     let largest = [0, 1].into_iter().filter(|n| uses[*n] && was[*n] != 0.0);

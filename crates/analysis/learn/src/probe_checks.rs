@@ -1,13 +1,13 @@
 //! Checks of the probe against a certified reference: with one reference alone a probe that drifts is learned as the machine.
 
 use crate::{
-    event::{Action, Event, EventKind, round_to_three_digits},
+    event::{DetectedEvent, EventAction, EventKind, round_to_three_digits},
     learner_state::LearnerState,
 };
 
-const DAY_S: f64 = 86_400.0;
+const SECONDS_PER_DAY: f64 = 86_400.0;
 /// After this many days without a check one is requested: four weeks.
-const CHECK_INTERVAL_DAYS: f64 = 28.0;
+const MAX_CHECK_INTERVAL_DAYS: f64 = 28.0;
 /// This many checks say whether they drift: two of them are on a line.
 const MIN_CHECKS: usize = 4;
 /// Standard errors of the slope at which a drift is certain: once in 10⁶ of normal noise.
@@ -26,7 +26,7 @@ pub(crate) fn add_check(memory: &mut LearnerState, time_s: Option<f64>, um: f64,
                 (round_to_three_digits(size), ci95);
             return;
         }
-        memory.events.push(Event {
+        memory.events.push(DetectedEvent {
             event: EventKind::ProbeDrift,
             constant: None,
             at: memory.checks.first().map(|check| check[0]),
@@ -34,10 +34,10 @@ pub(crate) fn add_check(memory: &mut LearnerState, time_s: Option<f64>, um: f64,
             size: round_to_three_digits(size),
             unit: "µm".into(),
             ci95,
-            check: Event::advice(EventKind::ProbeDrift, &[]),
+            check: DetectedEvent::advice(EventKind::ProbeDrift, &[]),
             alternatives: Vec::new(),
             sequence: memory.next_sequence(),
-            action: Action::Nothing,
+            action: EventAction::Nothing,
             is_open: false,
         });
     }
@@ -68,8 +68,8 @@ fn estimate_drift(checks: &[[f64; 2]], scatter_um: f64) -> Option<[f64; 2]> {
 pub(crate) fn overdue_check_note(memory: &LearnerState) -> Option<String> {
     let last_s = memory.last_s?;
     let since_s = memory.checks.last().map(|check| check[0]).or(memory.first_s)?;
-    let days = (last_s - since_s) / DAY_S;
-    (days >= CHECK_INTERVAL_DAYS).then(|| {
+    let days = (last_s - since_s) / SECONDS_PER_DAY;
+    (days >= MAX_CHECK_INTERVAL_DAYS).then(|| {
         format!(
             "No check of the probe for {days:.0} days. With one reference the drift of a probe is learned as an error of the machine, and the readings cannot show it. Measure a certified reference (a ring, a gauge block at a known temperature, or with another probe). Write the reading less its value at 20 °C into the column check_um."
         )
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn checks_that_drift_are_reported_and_checks_that_scatter_are_not() {
-        let month = 28.0 * DAY_S;
+        let month = 28.0 * SECONDS_PER_DAY;
         let noise = [0.1, -0.2, 0.15, -0.05, 0.2, -0.15, 0.0, 0.1];
         let checks = |per_month: f64| -> Vec<[f64; 2]> {
             (0..8).map(|n| [month * n as f64, per_month * n as f64 + noise[n]]).collect()

@@ -1,6 +1,6 @@
 //! The readings of a record: rows in which the reference was measured, or the probe was checked.
 
-use trueup_machine::{BadInput, RunFile, file::Quantity};
+use trueup_machine::{InputFileError, RunFile, file::Quantity};
 
 use crate::learner_state::fnv1a_64;
 
@@ -35,7 +35,7 @@ pub(crate) struct GaugeReading {
 pub(crate) fn collect_readings(
     run: &RunFile,
     quantity: Quantity,
-) -> Result<Vec<GaugeReading>, BadInput> {
+) -> Result<Vec<GaugeReading>, InputFileError> {
     let name = format!("measured_{}_um", quantity.name());
     let (times, checks) = (run.column("time_s"), run.column("check_um"));
     let whole = |row: usize, time_s: Option<f64>| {

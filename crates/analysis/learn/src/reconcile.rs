@@ -8,7 +8,7 @@ use trueup_machine::{Machine, file::Quantity};
 
 use crate::{
     constants::{self, LearnableConstant},
-    event::Action,
+    event::EventAction,
     filter_bank::FilterBank,
     learner_state::{LearnerState, MachineIdentity},
     replay::FilterHistory,
@@ -19,7 +19,7 @@ use crate::{
 const PRIOR_RELATIVE_STD: f64 = 0.25;
 const PRIOR_ZERO_STD_UM: f64 = 5.0;
 /// A backlash may double in a year.
-const BACKLASH_PRIOR_RELATIVE_STD: f64 = 1.0;
+const PRIOR_BACKLASH_RELATIVE_STD: f64 = 1.0;
 /// Repeatability of a probe where nothing says it, in µm: the last digit of the papers' indicator.
 const DEFAULT_NOISE_UM: f64 = 1.0;
 
@@ -27,7 +27,7 @@ const DEFAULT_NOISE_UM: f64 = 1.0;
 fn prior_standard_deviations(constants: &[LearnableConstant]) -> Vec<f64> {
     let share = |constant: &LearnableConstant| match constant {
         it if it.is_held() => 0.0,
-        it if it.key.ends_with("width_um") => BACKLASH_PRIOR_RELATIVE_STD,
+        it if it.key.ends_with("width_um") => PRIOR_BACKLASH_RELATIVE_STD,
         _ => PRIOR_RELATIVE_STD,
     };
     std::iter::once(PRIOR_ZERO_STD_UM).chain(constants.iter().map(share)).collect()
@@ -161,8 +161,8 @@ fn restart_changed_constants(
         memory.worn.clear();
         for event in &mut memory.events {
             event.is_open = false;
-            if matches!(event.action, Action::Shift(_)) {
-                event.action = Action::Nothing;
+            if matches!(event.action, EventAction::Shift(_)) {
+                event.action = EventAction::Nothing;
             }
         }
         for change in &mut memory.changes {

@@ -2,7 +2,7 @@
 
 use crate::{
     detect::{self, DetectedChange, DetectionRow, PriorBelief},
-    event::Action,
+    event::EventAction,
     filter::FilterOutcome,
     filter_bank::FilterBank,
     learner_state::{LearnerState, StoredReading},
@@ -10,9 +10,9 @@ use crate::{
 };
 
 /// Readings that are kept as they were read: at two a day five months.
-const READING_WINDOW: usize = 300;
+const MAX_WINDOW_READINGS: usize = 300;
 /// Of this many of the last the filters before them are at hand: the longest look back, and an open event.
-const CHECKPOINT_COUNT: usize = 80;
+const MAX_BANK_SNAPSHOTS: usize = 80;
 /// Readings before an instant of which bad ones may have moved the estimate: where one in twenty is bad, more than two of this many
 /// are twice in a thousand times.
 const LOOKBACK_READINGS: usize = 6;
@@ -29,7 +29,7 @@ impl FilterHistory {
     /// Advances the checkpoint of `memory` by all that is in its window.
     pub(crate) fn from_state(memory: &LearnerState) -> Self {
         let mut it = Self { bank: memory.checkpoint.clone(), tail: Vec::new() };
-        let tail = memory.window.len().saturating_sub(CHECKPOINT_COUNT);
+        let tail = memory.window.len().saturating_sub(MAX_BANK_SNAPSHOTS);
         for index in 0..tail {
             advance_filters(memory, index, &mut it.bank);
         }
@@ -58,7 +58,7 @@ impl FilterHistory {
     /// Takes the reading `index` of the window, and returns its outcome.
     pub(crate) fn advance(&mut self, memory: &LearnerState, index: usize) -> FilterOutcome {
         self.tail.push(self.bank.clone());
-        if self.tail.len() > CHECKPOINT_COUNT {
+        if self.tail.len() > MAX_BANK_SNAPSHOTS {
             self.tail.remove(0);
         }
         advance_filters(memory, index, &mut self.bank)
@@ -66,7 +66,7 @@ impl FilterHistory {
 
     /// Keeps a reading that was taken to the window's length.
     pub(crate) fn trim_window(&self, memory: &mut LearnerState) {
-        if memory.window.len() > READING_WINDOW {
+        if memory.window.len() > MAX_WINDOW_READINGS {
             let mut checkpoint = memory.checkpoint.clone();
             advance_filters(memory, 0, &mut checkpoint);
             memory.checkpoint = checkpoint;
@@ -92,7 +92,7 @@ impl FilterHistory {
 
     /// Returns true if one of the [`LOOKBACK_READINGS`] beliefs before that of reading `index` predicts the readings from `index` on: bad readings
     /// have moved the estimate in between, and nothing has happened to the machine.
-    pub(crate) fn is_bad_reading_artefact(&self, memory: &LearnerState, index: usize) -> bool {
+    pub(crate) fn is_outlier_artefact(&self, memory: &LearnerState, index: usize) -> bool {
         let Some(place) = (index + self.tail.len()).checked_sub(memory.window.len()) else {
             return false;
         };
@@ -121,7 +121,7 @@ fn window_rows<'a>(
             DetectionRow {
                 g: &stored.g,
                 h: &stored.h,
-                y_um: corrected_reading(memory, stored, sequence, own),
+                y_um: corrected_reading_um(memory, stored, sequence, own),
             }
         })
         .collect();
@@ -146,17 +146,17 @@ fn advance_filters(memory: &LearnerState, index: usize, bank: &mut FilterBank) -
     bank.advance_time(readings::elapsed_s(before_s, stored.t));
     for event in memory.events.iter().filter(|event| event.sequence == sequence) {
         match &event.action {
-            Action::Shift(all) => all.iter().for_each(|shift| bank.shift_value(*shift)),
-            Action::Scatter(times) => bank.scale_noise(*times),
-            Action::Zero(_) | Action::Nothing => {}
+            EventAction::Shift(all) => all.iter().for_each(|shift| bank.shift_value(*shift)),
+            EventAction::Scatter(times) => bank.scale_noise(*times),
+            EventAction::Zero(_) | EventAction::Nothing => {}
         }
     }
-    bank.process_reading(&stored.g, corrected_reading(memory, stored, sequence, None))
+    bank.process_reading(&stored.g, corrected_reading_um(memory, stored, sequence, None))
 }
 
 /// Returns a reading less the prediction of the user's file, counted from the zero of its time and by the checks of the
 /// probe; without the event that begins at `own`.
-pub(crate) fn corrected_reading(
+pub(crate) fn corrected_reading_um(
     memory: &LearnerState,
     stored: &StoredReading,
     sequence: u64,
@@ -167,7 +167,7 @@ pub(crate) fn corrected_reading(
         .iter()
         .filter(|event| event.sequence <= sequence && Some(event.sequence) != own);
     let zero: f64 =
-        steps.map(|event| if let Action::Zero(um) = event.action { um } else { 0.0 }).sum();
+        steps.map(|event| if let EventAction::Zero(um) = event.action { um } else { 0.0 }).sum();
     stored.y - zero - probe_error_um(&memory.checks, stored.t)
 }
 

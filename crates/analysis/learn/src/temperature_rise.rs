@@ -24,13 +24,13 @@ const AIR_COLUMN_WORDS: [&str; 4] = ["air", "ambient", "hall", "room"];
 const MAX_RISE_TERMS: usize = 4;
 
 /// Returns the column of the air in `run`.
-pub(crate) fn air_column(run: &RunFile) -> Option<String> {
+pub(crate) fn air_column_name(run: &RunFile) -> Option<String> {
     let names = run.columns().iter().map(|column| &column.name);
     let mut names = names.filter(|name| name.starts_with("temp_") && name.ends_with("_c"));
     names.find(|name| name.split('_').any(|word| AIR_COLUMN_WORDS.contains(&word))).cloned()
 }
 
-/// Returns the keys of the rises over `air_column` by which a quantity may go.
+/// Returns the keys of the rises over `air_column_name` by which a quantity may go.
 pub(crate) fn rise_keys(machine: &Machine, quantity: Quantity, air: &str) -> Vec<String> {
     let has_air =
         machine.inputs.as_ref().is_none_or(|inputs| inputs.temperatures.contains_key(air));
@@ -69,7 +69,7 @@ pub(crate) struct TemperatureRise<'k> {
 
 impl<'k> TemperatureRise<'k> {
     /// Returns what a key names; `None`: another constant.
-    pub(crate) fn parse_key(key: &'k str) -> Option<Self> {
+    pub(crate) fn from_key(key: &'k str) -> Option<Self> {
         let (key, air) = key.split_once('/')?;
         let (section, thermometer) = key.rsplit_once('.')?;
         Some(Self { section, thermometer, air })
@@ -172,7 +172,8 @@ mod tests {
         let run = "time_s,x_mm,dir_x,temp_screw_c,temp_air_c,measured_dx_um\n0,500,1,25,22,0\n";
         let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("a run");
         let text = format!("{AXIS}{INPUTS}");
-        let keys = rise_keys(&machine(&text), Quantity::Dx, &air_column(&run).expect("the air"));
+        let keys =
+            rise_keys(&machine(&text), Quantity::Dx, &air_column_name(&run).expect("the air"));
         assert_eq!(keys, ["axis.x.thermal.temp_screw_c/temp_air_c"]);
         let predicted = |text: &str| {
             let machine = machine(text);

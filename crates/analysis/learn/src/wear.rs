@@ -13,7 +13,7 @@
 
 use crate::{
     constants::LearnableConstant,
-    event::{Action, Event, EventKind, round_to_three_digits},
+    event::{DetectedEvent, EventAction, EventKind, round_to_three_digits},
     learner_state::{LearnerState, StoredReading},
     wear_regression::{MIN_SLOPE_SIGMAS, RegressionSums},
 };
@@ -21,7 +21,7 @@ use crate::{
 /// Days that a line needs: a month.
 const MIN_WEAR_SPAN_S: f64 = 30.0 * 86_400.0;
 /// Scatters by which one reading counts at most.
-const CLIPPING_SIGMAS: f64 = 2.0;
+const CLIPPING_LIMIT_SIGMAS: f64 = 2.0;
 /// Readings in the positive direction that say what misses both alike: ten days of two a day. Fewer add more noise than they take off.
 const COMMON_MODE_READINGS: usize = 10;
 /// The unit of t, in s.
@@ -42,7 +42,8 @@ pub(crate) fn backlash_observations(
     missed_um: f64,
     scatter_um: f64,
 ) -> Vec<f64> {
-    let held_um = missed_um.clamp(-CLIPPING_SIGMAS * scatter_um, CLIPPING_SIGMAS * scatter_um);
+    let held_um =
+        missed_um.clamp(-CLIPPING_LIMIT_SIGMAS * scatter_um, CLIPPING_LIMIT_SIGMAS * scatter_um);
     let worn = constants.iter().enumerate().filter(|(_, constant)| is_subject_to_wear(constant));
     worn.enumerate()
         .map(|(number, (index, _))| {
@@ -81,8 +82,10 @@ fn add_readings(
             worn.push(RegressionSums::default());
         }
         // Where the width has become another one by an event it begins anew.
-        let is_new = |event: &&Event| match &event.action {
-            Action::Shift(all) => all.iter().any(|entry| entry.0 == index + 1 && entry.1 != 0.0),
+        let is_new = |event: &&DetectedEvent| match &event.action {
+            EventAction::Shift(all) => {
+                all.iter().any(|entry| entry.0 == index + 1 && entry.1 != 0.0)
+            }
             _ => false,
         };
         let since = memory.events.iter().filter(is_new).map(|event| event.sequence).max();
@@ -94,7 +97,7 @@ fn add_readings(
             let (Some(t), Some(first_s)) = (stored.t, memory.first_s) else { continue };
             let (g, r) = (stored.g[index + 1], stored.worn.get(number));
             if let Some(r) = r.filter(|_| g.abs() > 0.0) {
-                worn[number].add(g, *r, (t - first_s) / SECONDS_PER_YEAR);
+                worn[number].add_reading(g, *r, (t - first_s) / SECONDS_PER_YEAR);
             }
         }
     }
@@ -135,7 +138,7 @@ pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
             (event.size, event.ci95) = (size, [low, high]);
             continue;
         }
-        memory.events.push(Event {
+        memory.events.push(DetectedEvent {
             event: EventKind::Wear,
             constant: Some(key),
             at: memory.first_s,
@@ -143,10 +146,10 @@ pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
             size,
             unit: "µm".into(),
             ci95: [low, high],
-            check: Event::advice(EventKind::Wear, &[]),
+            check: DetectedEvent::advice(EventKind::Wear, &[]),
             alternatives: Vec::new(),
             sequence: memory.next_sequence() - 1,
-            action: Action::Nothing,
+            action: EventAction::Nothing,
             is_open: false,
         });
     }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use trueup_campaigns::year::{MachineKind, YearSchedule, simulate_year};
-use trueup_learn::{EventKind, LearnerState, LearningResult, Limits, learn};
+use trueup_campaigns::year::{MachineKind, YearConfig, simulate_year};
+use trueup_learn::{EventKind, LearnerState, LearningLimits, LearningResult, learn_from_run};
 use trueup_machine::{MachineFile, RunFile};
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
@@ -22,8 +22,8 @@ fn record(first_s: f64, count: usize, um: impl Fn(f64, usize) -> f64) -> RunFile
     RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
 }
 
-fn taught(run: &RunFile, memory: Option<LearnerState>, limits: &Limits) -> LearningResult {
-    learn(MACHINE, Path::new("m.toml"), run, None, memory, limits)
+fn taught(run: &RunFile, memory: Option<LearnerState>, limits: &LearningLimits) -> LearningResult {
+    learn_from_run(MACHINE, Path::new("m.toml"), run, None, memory, limits)
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -41,7 +41,7 @@ fn grown(celsius: f64, _: usize) -> f64 {
 
 #[test]
 fn a_constant_that_has_changed_is_followed_and_the_comment_stays() {
-    let learned = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let learned = taught(&record(0.0, 60, grown), None, &LearningLimits::default());
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
     assert!(learned.machine.contains("# the maker's"), "{}", learned.machine);
     assert!(learned.half_widths[0] < 0.2 && learned.half_widths[0] > 0.0);
@@ -54,24 +54,24 @@ fn a_constant_that_has_changed_is_followed_and_the_comment_stays() {
 #[test]
 fn a_bad_reading_is_refused_with_the_reason_and_one_reading_changes_nothing() {
     let right = |celsius: f64, n: usize| 2.0 * (celsius - 20.0) + if n == 30 { 45.0 } else { 0.0 };
-    let learned = taught(&record(0.0, 40, right), None, &Limits::default());
+    let learned = taught(&record(0.0, 40, right), None, &LearningLimits::default());
     let bad = &learned.readings[30];
     let reason = bad.reason.as_deref().expect("a reason");
     assert!(!bad.used && reason.contains("times what a reading may differ by"), "{reason}");
     assert_eq!(learned.machine, MACHINE);
     assert!(learned.memory.changes.is_empty());
     // Nor does one alone, however far it is off.
-    let one = taught(&record(0.0, 1, |_, _| 80.0), None, &Limits::default());
+    let one = taught(&record(0.0, 1, |_, _| 80.0), None, &LearningLimits::default());
     assert_eq!(one.machine, MACHINE);
 }
 
 #[test]
 fn no_bound_is_passed_and_reaching_one_is_reported() {
-    let limits = Limits { share: 0.1, ..Limits::default() };
+    let limits = LearningLimits { share: 0.1, ..LearningLimits::default() };
     let learned = taught(&record(0.0, 60, grown), None, &limits);
     assert!(k(&learned.machine) <= 2.2 + 1e-9, "{}", learned.machine);
     assert!(learned.notes.iter().any(|note| note.contains("A bound was reached")));
-    let limits = Limits { total_um: 3.0, ..Limits::default() };
+    let limits = LearningLimits { total_um: 3.0, ..LearningLimits::default() };
     let learned = taught(&record(0.0, 60, grown), None, &limits);
     assert!(learned.memory.applied.iter().all(|x| x.abs() < 3.1), "{:?}", learned.memory.applied);
     // 15 K above the reference is the most: 3 µm of it are 0.2 µm/K.
@@ -80,34 +80,40 @@ fn no_bound_is_passed_and_reaching_one_is_reported() {
 
 #[test]
 fn a_change_is_undone_and_its_record_is_not_learned_from_again() {
-    let first = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let first = taught(&record(0.0, 60, grown), None, &LearningLimits::default());
     let mut memory = first.memory.clone();
     let path = Path::new("m.toml");
     let mut undone = 0;
-    while memory.undo().is_ok() {
+    while memory.undo_last_change().is_ok() {
         undone += 1;
     }
     // A change a day, over two days of readings.
     assert!((1..=2).contains(&undone), "{undone}");
-    assert_eq!(memory.apply_to_file(MACHINE, path).as_deref(), Some(MACHINE));
-    let again = taught(&record(0.0, 60, grown), Some(memory), &Limits::default());
+    assert_eq!(memory.apply_to_source(MACHINE, path).as_deref(), Some(MACHINE));
+    let again = taught(&record(0.0, 60, grown), Some(memory), &LearningLimits::default());
     assert_eq!((again.readings.len(), again.seen), (0, 60));
     assert_eq!(again.machine, MACHINE);
 }
 
 #[test]
 fn what_is_known_outlives_the_program_and_a_constant_changed_by_hand_restarts() {
-    let first = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let first = taught(&record(0.0, 60, grown), None, &LearningLimits::default());
     let text = first.memory.to_json().expect("it can be written");
     let memory = LearnerState::from_json(&text).expect("what was written");
     let next = record(2e5, 12, grown);
     let both = [first.memory, memory]
-        .map(|memory| taught(&next, Some(memory), &Limits::default()).machine);
+        .map(|memory| taught(&next, Some(memory), &LearningLimits::default()).machine);
     assert_eq!(both[0], both[1]);
     let memory = LearnerState::from_json(&text).expect("what was written");
     let edited = MACHINE.replace("2.0 #", "2.6 #");
-    let learned =
-        learn(&edited, Path::new("m.toml"), &next, None, Some(memory), &Limits::default());
+    let learned = learn_from_run(
+        &edited,
+        Path::new("m.toml"),
+        &next,
+        None,
+        Some(memory),
+        &LearningLimits::default(),
+    );
     let learned = learned.unwrap_or_else(|error| panic!("{error}"));
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
     assert!(learned.has_restarted && learned.notes[0].contains("was changed by hand (2 to 2.6)"));
@@ -118,7 +124,7 @@ fn what_is_known_outlives_the_program_and_a_constant_changed_by_hand_restarts() 
 fn a_row_without_a_temperature_teaches_nothing_and_reports_it() {
     let text = "time_s,temp_a_c,measured_elongation_um\n0,25,10\n60,,55\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let learned = taught(&run, None, &Limits::default());
+    let learned = taught(&run, None, &LearningLimits::default());
     assert!(!learned.readings[1].used);
     assert!(
         learned.readings[1].reason.as_deref().is_some_and(|reason| reason.contains("temperature"))
@@ -130,14 +136,15 @@ fn a_reference_that_was_shifted_becomes_no_constant() {
     // Right by the file for two days, then touched off 30 µm anew.
     let right = |celsius: f64, _: usize| 2.0 * (celsius - 20.0);
     let shifted = |celsius: f64, n: usize| right(celsius, n) + 30.0;
-    let mut memory = Some(taught(&record(0.0, 60, right), None, &Limits::default()).memory);
+    let mut memory = Some(taught(&record(0.0, 60, right), None, &LearningLimits::default()).memory);
     for (first_s, count) in [(2e5, 20), (3e5, 40), (5e5, 60)] {
-        let learned = taught(&record(first_s, count, shifted), memory.take(), &Limits::default());
+        let learned =
+            taught(&record(first_s, count, shifted), memory.take(), &LearningLimits::default());
         assert_eq!(learned.machine, MACHINE, "{:?}", learned.notes);
         memory = Some(learned.memory);
     }
     // Nor where there was no record before it; and it is reported.
-    let learned = taught(&record(0.0, 60, shifted), None, &Limits::default());
+    let learned = taught(&record(0.0, 60, shifted), None, &LearningLimits::default());
     assert_eq!(learned.machine, MACHINE);
     let step = &learned.news[0];
     assert_eq!(step.event, EventKind::ZeroStep);
@@ -147,11 +154,14 @@ fn a_reference_that_was_shifted_becomes_no_constant() {
 #[test]
 fn a_record_that_grows_counts_each_reading_once() {
     let whole = record(1e9, 40, grown);
-    let at_once = taught(&whole, None, &Limits::default());
+    let at_once = taught(&whole, None, &LearningLimits::default());
     let mut memory = None;
     for rows in [5, 10, 25, 40] {
-        let learned =
-            taught(&whole.with_altered_values(rows, |_, _| {}), memory.take(), &Limits::default());
+        let learned = taught(
+            &whole.with_altered_values(rows, |_, _| {}),
+            memory.take(),
+            &LearningLimits::default(),
+        );
         let before = [5, 10, 25, 40].into_iter().filter(|count| *count < rows).max().unwrap_or(0);
         assert_eq!(learned.readings.len(), rows - before);
         memory = Some(learned.memory);
@@ -159,21 +169,28 @@ fn a_record_that_grows_counts_each_reading_once() {
     let memory = memory.expect("four records");
     assert_eq!(memory.to_json().expect("JSON"), at_once.memory.to_json().expect("JSON"));
     // Nothing new in it.
-    let again = taught(&whole, Some(memory.clone()), &Limits::default());
+    let again = taught(&whole, Some(memory.clone()), &LearningLimits::default());
     assert_eq!((again.readings.len(), again.seen), (0, 40));
     assert_eq!(again.memory, memory);
 }
 
 #[test]
 fn a_record_of_an_earlier_date_is_refused_and_a_clock_that_begins_anew_is_reported() {
-    let late = taught(&record(2e9, 20, grown), None, &Limits::default()).memory;
+    let late = taught(&record(2e9, 20, grown), None, &LearningLimits::default()).memory;
     let early = record(1.9e9, 20, grown);
-    let refused = learn(MACHINE, Path::new("m.toml"), &early, None, Some(late), &Limits::default());
+    let refused = learn_from_run(
+        MACHINE,
+        Path::new("m.toml"),
+        &early,
+        None,
+        Some(late),
+        &LearningLimits::default(),
+    );
     let rule = refused.expect_err("it is older").rule;
     assert!(rule.contains("at or before the last reading"), "{rule}");
-    let first = taught(&record(0.0, 20, grown), None, &Limits::default()).memory;
+    let first = taught(&record(0.0, 20, grown), None, &LearningLimits::default()).memory;
     let other = record(60.0, 20, grown);
-    let learned = taught(&other, Some(first), &Limits::default());
+    let learned = taught(&other, Some(first), &LearningLimits::default());
     assert!(learned.notes.iter().any(|note| note.contains("taken as a later day")));
 }
 
@@ -192,10 +209,10 @@ fn of_bridge(factor: f64, gain: f64, on: impl Fn(usize) -> bool) -> RunFile {
 
 #[test]
 fn a_cnc_that_applies_the_offset_otherwise_teaches_nothing() {
-    let limits = Limits::default();
+    let limits = LearningLimits::default();
     for factor in [-1.0, 0.0, 0.5, 2.0] {
         let half = of_bridge(factor, 1.0, |n| n % 20 < 10);
-        let refused = learn(MACHINE, Path::new("m.toml"), &half, None, None, &limits);
+        let refused = learn_from_run(MACHINE, Path::new("m.toml"), &half, None, None, &limits);
         let rule = refused.expect_err("the CNC is wrong").rule;
         assert!(rule.starts_with("For 1 µm of offset") && rule.contains("eoffset-scale"), "{rule}");
         let learned = taught(&of_bridge(factor, 1.0, |_| true), None, &limits);
@@ -228,7 +245,7 @@ fn dates_keep_the_time_between_day_files() {
         let mut memory = None;
         for day in [0, 1, 2, 9, 10, 11] {
             let run = file(day, is_date);
-            memory = Some(taught(&run, memory.take(), &Limits::default()).memory);
+            memory = Some(taught(&run, memory.take(), &LearningLimits::default()).memory);
         }
         memory.expect("six days").to_json().expect("JSON")
     });
@@ -237,14 +254,21 @@ fn dates_keep_the_time_between_day_files() {
     let memory = LearnerState::from_json(&states[0]).expect("what was written");
     let text = "time,temp_a_c,measured_elongation_um\n2026-01-16 19:10:00,25,10\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let early = learn(MACHINE, Path::new("m.toml"), &run, None, Some(memory), &Limits::default());
+    let early = learn_from_run(
+        MACHINE,
+        Path::new("m.toml"),
+        &run,
+        None,
+        Some(memory),
+        &LearningLimits::default(),
+    );
     let rule = early.expect_err("it is before the last one").rule;
     assert!(rule.contains("2026-01-16 19:10 UTC") && rule.contains("+01:00"), "{rule}");
 }
 
 #[test]
 fn a_state_of_the_form_before_is_read_and_its_readings_are_known() {
-    let first = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let first = taught(&record(0.0, 60, grown), None, &LearningLimits::default());
     let state: serde_json::Value =
         serde_json::from_str(&first.memory.to_json().expect("JSON")).expect("JSON");
     let old = serde_json::json!({
@@ -255,7 +279,7 @@ fn a_state_of_the_form_before_is_read_and_its_readings_are_known() {
     let memory = LearnerState::from_json(&old.to_string()).expect("the form before");
     assert!(LearnerState::is_previous_schema(&old.to_string()));
     assert_eq!(memory.applied, first.memory.applied);
-    let learned = taught(&record(2e5, 12, grown), Some(memory), &Limits::default());
+    let learned = taught(&record(2e5, 12, grown), Some(memory), &LearningLimits::default());
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
     assert!(learned.notes.iter().any(|note| note.contains("an earlier version")));
 }
@@ -268,13 +292,16 @@ fn every_decision_comes_from_the_readings_so_far() {
         2.0 * (celsius - 20.0) + bad + if n >= 90 { 25.0 } else { 0.0 }
     };
     let whole = record(1e9, 120, um);
-    let at_once = taught(&whole, None, &Limits::default());
+    let at_once = taught(&whole, None, &LearningLimits::default());
     let mut memory: Option<LearnerState> = None;
     for rows in (1..=120).rev().step_by(3).collect::<Vec<_>>().into_iter().rev() {
         let text = memory.take().map(|state: LearnerState| state.to_json().expect("JSON"));
         let memory_now = text.map(|text| LearnerState::from_json(&text).expect("what was written"));
-        let learned =
-            taught(&whole.with_altered_values(rows, |_, _| {}), memory_now, &Limits::default());
+        let learned = taught(
+            &whole.with_altered_values(rows, |_, _| {}),
+            memory_now,
+            &LearningLimits::default(),
+        );
         memory = Some(learned.memory);
     }
     let grown = memory.expect("records").to_json().expect("JSON");
@@ -290,7 +317,7 @@ fn an_event_moves_the_correction_by_the_readings_it_rests_on_and_one_reading_by_
     // Right for fifty readings, then 60 % more: 18 µm at the warmest. A step is 1 µm.
     let um = |celsius: f64, n: usize| (if n < 50 { 2.0 } else { 3.2 }) * (celsius - 20.0);
     let whole = record(1e9, 60, um);
-    let limits = Limits { step_um: 1.0, ..Limits::default() };
+    let limits = LearningLimits { step_um: 1.0, ..LearningLimits::default() };
     let at = |rows: usize| {
         let learned = taught(&whole.with_altered_values(rows, |_, _| {}), None, &limits);
         (learned.memory.events, k(&learned.machine))
@@ -322,7 +349,7 @@ fn a_check_of_the_probe_is_taken_off_and_its_absence_is_reported() {
         }
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
     };
-    let limits = Limits::default();
+    let limits = LearningLimits::default();
     let checked = taught(&file(true), None, &limits);
     assert!((checked.memory.applied[0]).abs() < 1.6, "{:?}", checked.memory.applied);
     assert!(checked.news.iter().any(|event| event.event == EventKind::ProbeDrift));
@@ -352,7 +379,7 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
         let file = MachineFile::parse(&machine, Path::new("m.toml")).expect("it is correct");
         let run = run.with_tool_numbers(&file).expect("all are listed");
-        learn(&machine, Path::new("m.toml"), &run, None, None, &Limits::default())
+        learn_from_run(&machine, Path::new("m.toml"), &run, None, None, &LearningLimits::default())
             .unwrap_or_else(|error| panic!("{error}"))
     };
     let quiet = probed(2.0);
@@ -368,7 +395,7 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
 /// depends on it.
 #[test]
 fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
-    let drawn = simulate_year(7, MachineKind::Axis, YearSchedule::default());
+    let drawn = simulate_year(7, MachineKind::Axis, YearConfig::default());
     let csv = &drawn.days[0].csv;
     let place =
         csv.lines().next().expect("a head").split(',').position(|column| column == "temp_air_c");
@@ -382,7 +409,14 @@ fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
     });
     let run = RunFile::from_reader(dead.collect::<String>().as_bytes(), Path::new("r.csv"));
     let path = Path::new("m.toml");
-    let learned = learn(&drawn.machine, path, &run.expect("a run"), None, None, &Limits::default());
+    let learned = learn_from_run(
+        &drawn.machine,
+        path,
+        &run.expect("a run"),
+        None,
+        None,
+        &LearningLimits::default(),
+    );
     let readings = learned.expect("it can learn").readings;
     assert!(!readings.is_empty() && readings.iter().all(|reading| reading.used), "{readings:?}");
 }
@@ -390,11 +424,8 @@ fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
 /// Half a year of an axis whose thermometer shows 70 % of its rise over the air from June on.
 #[test]
 fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
-    let drawn = simulate_year(
-        821,
-        MachineKind::Axis,
-        YearSchedule { events: true, ..YearSchedule::default() },
-    );
+    let drawn =
+        simulate_year(821, MachineKind::Axis, YearConfig { events: true, ..YearConfig::default() });
     let (moved, since) = (&drawn.events[1], 30.0 * 86_400.0);
     assert_eq!(moved.name, "thermometer-moved");
     let mut memory = None;
@@ -413,7 +444,14 @@ fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
             let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
             let memory = Some(learned.memory.clone());
             let path = Path::new("m.toml");
-            let after = learn(&drawn.machine, path, &run, None, memory, &Limits::default());
+            let after = learn_from_run(
+                &drawn.machine,
+                path,
+                &run,
+                None,
+                memory,
+                &LearningLimits::default(),
+            );
             let after = after.expect("it is read");
             assert!(
                 !after.readings.is_empty() && after.readings.iter().all(|reading| !reading.used)
@@ -421,7 +459,8 @@ fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
             break;
         }
         let path = Path::new("m.toml");
-        let learned = learn(&drawn.machine, path, &run, None, memory, &Limits::default());
+        let learned =
+            learn_from_run(&drawn.machine, path, &run, None, memory, &LearningLimits::default());
         let learned = learned.expect("it can learn");
         memory = Some(learned.memory.clone());
         last = Some(learned);

@@ -5,17 +5,17 @@
 
 use std::{ops::Range, path::Path};
 
-use trueup_campaigns::month::{Day, EVALUATION_SEEDS, simulate_month};
-use trueup_learn::{LearnerState, Limits, learn};
+use trueup_campaigns::month::{EVALUATION_SEEDS, WorkDay, simulate_month};
+use trueup_learn::{LearnerState, LearningLimits, learn_from_run};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 
-fn run(day: &Day) -> RunFile {
+fn run(day: &WorkDay) -> RunFile {
     RunFile::from_reader(day.csv.as_bytes(), Path::new("day.csv"))
         .expect("the twin writes run files")
 }
 
 /// Sum of squares of what `machine` leaves while the spindle turns, and how many rows these are.
-fn left(machine: &str, day: &Day) -> (f64, f64) {
+fn left(machine: &str, day: &WorkDay) -> (f64, f64) {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
     let run = run(day);
     let predictor = Predictor::new(&machine, &run).expect("a prediction");
@@ -34,9 +34,15 @@ fn lived(seed: u64, ages: bool) -> [f64; 2] {
     for day in &month.days {
         if day.is_probed {
             let path = Path::new("m.toml");
-            let learned =
-                learn(&month.machine, path, &run(day), None, memory.take(), &Limits::default())
-                    .expect("it can learn");
+            let learned = learn_from_run(
+                &month.machine,
+                path,
+                &run(day),
+                None,
+                memory.take(),
+                &LearningLimits::default(),
+            )
+            .expect("it can learn");
             machine = learned.machine;
             memory = Some(learned.memory);
         } else {

@@ -47,7 +47,7 @@ fn false_alarms_are_as_rare_as_is_stated_over_three_hundred_hours() {
                 let first = CusumMonitor::new(found, 300.0);
                 let (mut watch, mut draws) = (first, noise(seed, "watched", memory));
                 for _ in 0..300 * 60 {
-                    if watch.step(is_bad(1.3 + draws.draw())) {
+                    if watch.update(is_bad(1.3 + draws.draw())) {
                         alarms += 1;
                         watch = first;
                     }
@@ -68,12 +68,12 @@ fn a_change_of_three_times_the_noise_is_found_within_a_thermal_time_constant() {
             let mut watch = CusumMonitor::new(found(seed, memory), 1000.0);
             let mut draws = noise(seed, "changed", memory);
             let side = if seed % 2 == 0 { 1.0 } else { -1.0 };
-            let is_false = (0..120).any(|_| watch.step(1.3 + draws.draw()));
+            let is_false = (0..120).any(|_| watch.update(1.3 + draws.draw()));
             if is_false {
                 continue;
             }
             let moved = 1.3 + side * TARGET_SHIFT_SIGMAS * 0.7;
-            let rows = (1..=600).find(|_| watch.step(moved + draws.draw())).unwrap_or(600);
+            let rows = (1..=600).find(|_| watch.update(moved + draws.draw())).unwrap_or(600);
             all += 1;
             sum_s += f64::from(rows) * ROW_S;
             in_time += i32::from(f64::from(rows) * ROW_S <= THERMAL_S);

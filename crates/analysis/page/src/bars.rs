@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::{chart::Colour, html::escape_html};
+use crate::{chart::ColourRole, html::escape_html};
 
 /// Named sizes, each a bar; a size below 0 is drawn as 0 and written as it is.
 #[derive(Clone, Debug)]
@@ -25,7 +25,7 @@ impl BarChart {
         }
         let mut out = String::from("<figure class=\"bars\">");
         for (name, size) in &self.bars {
-            let colour = if *size >= self.clear { Colour::After } else { Colour::Before };
+            let colour = if *size >= self.clear { ColourRole::After } else { ColourRole::Before };
             let _ = write!(
                 out,
                 "<div><span class=\"name\">{}</span><span class=\"track\"><i class=\"{}\" \

@@ -4,14 +4,14 @@ use std::fmt::Write as _;
 
 use crate::{html::escape_html, number::axis_ticks, point_reduction};
 
-const WIDTH: f64 = 480.0;
-const HEIGHT: f64 = 290.0;
+const CHART_WIDTH: f64 = 480.0;
+const CHART_HEIGHT: f64 = 290.0;
 /// Left, right, top, bottom: room for the numbers and the names of the axes.
 const MARGINS: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
 
 /// Colours by what they stand for: the same on every page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Colour {
+pub enum ColourRole {
     /// As it was: with the current machine file.
     Before,
     /// As it is corrected.
@@ -22,7 +22,7 @@ pub enum Colour {
     Truth,
 }
 
-impl Colour {
+impl ColourRole {
     pub(crate) const fn css_class(self) -> &'static str {
         match self {
             Self::Before => "before",
@@ -35,11 +35,11 @@ impl Colour {
 
 /// Points of one colour under one name.
 #[derive(Clone, Debug)]
-pub struct Series {
+pub struct ChartSeries {
     /// Its name in the legend.
     pub name: String,
     /// Its colour.
-    pub colour: Colour,
+    pub colour: ColourRole,
     /// The points; one that is not finite is left out.
     pub points: Vec<[f64; 2]>,
     /// Whether they are joined.
@@ -56,7 +56,7 @@ pub struct Chart {
     /// The name of the vertical axis, with its unit.
     pub y: String,
     /// The series to draw, the last on top.
-    pub series: Vec<Series>,
+    pub series: Vec<ChartSeries>,
 }
 
 impl Chart {
@@ -65,15 +65,17 @@ impl Chart {
     pub fn to_figure(&self) -> String {
         let Some([x, y]) = self.extent() else { return String::new() };
         let [left, right, top, bottom] = MARGINS;
-        let at_x = |value: f64| left + (value - x[0]) / (x[1] - x[0]) * (WIDTH - left - right);
-        let at_y =
-            |value: f64| HEIGHT - bottom - (value - y[0]) / (y[1] - y[0]) * (HEIGHT - top - bottom);
+        let at_x =
+            |value: f64| left + (value - x[0]) / (x[1] - x[0]) * (CHART_WIDTH - left - right);
+        let at_y = |value: f64| {
+            CHART_HEIGHT - bottom - (value - y[0]) / (y[1] - y[0]) * (CHART_HEIGHT - top - bottom)
+        };
         let mut svg = format!(
-            "<figure class=\"chart\"><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
+            "<figure class=\"chart\"><svg viewBox=\"0 0 {CHART_WIDTH} {CHART_HEIGHT}\" role=\"img\" \
              aria-label=\"{}\">",
             escape_html(&self.title)
         );
-        let (floor, end) = (HEIGHT - bottom, WIDTH - right);
+        let (floor, end) = (CHART_HEIGHT - bottom, CHART_WIDTH - right);
         for (value, label) in axis_ticks(x[0], x[1], 6.0) {
             let at = at_x(value);
             let _ = write!(
@@ -100,7 +102,7 @@ impl Chart {
             "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>\
              <text transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
             (left + end) / 2.0,
-            HEIGHT - 8.0,
+            CHART_HEIGHT - 8.0,
             escape_html(&self.x),
             escape_html(&self.y)
         );
@@ -114,14 +116,14 @@ impl Chart {
             };
             let _ = write!(svg, "<path class=\"{kind} {class}\" d=\"{path}\"/>");
         }
-        svg + &caption(&self.title, &self.series)
+        svg + &figure_end_html(&self.title, &self.series)
     }
 
     /// Returns the chart as a picture that stands alone in a file: colours that read on light and on dark, and its
     /// legend below.
     #[must_use]
-    pub fn standalone_svg(&self) -> String {
-        const STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}path{fill:none}\
+    pub fn to_standalone_svg(&self) -> String {
+        const STANDALONE_STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}path{fill:none}\
              .grid{stroke:#9aa5ae;stroke-width:.4}.zero{stroke:#7a858e}.line{stroke-width:1.7}\
              .dots{stroke-width:4.8;stroke-linecap:round}path.before{stroke:#d9703a}\
              path.after{stroke:#3b87d6}path.measured{stroke:#7a858e}path.truth{stroke:#3f9a45}\
@@ -130,16 +132,16 @@ impl Chart {
         let Some((start, end)) = figure.find("<svg").zip(figure.find("</svg>")) else {
             return String::new();
         };
-        let height = HEIGHT + 22.0;
+        let height = CHART_HEIGHT + 22.0;
         let mut svg = figure[start..end].replacen(
-            &format!("viewBox=\"0 0 {WIDTH} {HEIGHT}\""),
-            &format!("xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\""),
+            &format!("viewBox=\"0 0 {CHART_WIDTH} {CHART_HEIGHT}\""),
+            &format!("xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {CHART_WIDTH} {height}\""),
             1,
         );
         let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
-        svg.insert_str(inside, STYLE);
-        let legend = legend(&self.series);
-        let share = (WIDTH - MARGINS[0]) / legend.len().max(1) as f64;
+        svg.insert_str(inside, STANDALONE_STYLE);
+        let legend = legend_entries(&self.series);
+        let share = (CHART_WIDTH - MARGINS[0]) / legend.len().max(1) as f64;
         for (number, series) in legend.into_iter().enumerate() {
             let _ = write!(
                 svg,
@@ -155,7 +157,7 @@ impl Chart {
 
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
     fn extent(&self) -> Option<[[f64; 2]; 2]> {
-        let all = || self.series.iter().flat_map(Series::visible_points);
+        let all = || self.series.iter().flat_map(ChartSeries::visible_points);
         let range = |of: usize| {
             let (low, high) = all()
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), point| {
@@ -169,9 +171,9 @@ impl Chart {
 }
 
 /// Returns the end of a figure: its title, and its series once each.
-pub(crate) fn caption(title: &str, series: &[Series]) -> String {
+pub(crate) fn figure_end_html(title: &str, series: &[ChartSeries]) -> String {
     let mut caption = format!("</svg><figcaption>{}", escape_html(title));
-    for Series { name, colour, .. } in legend(series) {
+    for ChartSeries { name, colour, .. } in legend_entries(series) {
         let _ = write!(
             caption,
             " <span class=\"key {}\">{}</span>",
@@ -183,8 +185,8 @@ pub(crate) fn caption(title: &str, series: &[Series]) -> String {
 }
 
 /// Returns one of each name and colour: a run may be many lines.
-fn legend(all: &[Series]) -> Vec<&Series> {
-    let mut legend: Vec<&Series> = Vec::new();
+fn legend_entries(all: &[ChartSeries]) -> Vec<&ChartSeries> {
+    let mut legend: Vec<&ChartSeries> = Vec::new();
     for series in all {
         if !legend.iter().any(|other| (&other.name, other.colour) == (&series.name, series.colour))
         {
@@ -194,16 +196,16 @@ fn legend(all: &[Series]) -> Vec<&Series> {
     legend
 }
 
-impl Series {
+impl ChartSeries {
     /// Points that are joined.
     #[must_use]
-    pub fn line(name: &str, colour: Colour, points: Vec<[f64; 2]>) -> Self {
+    pub fn line(name: &str, colour: ColourRole, points: Vec<[f64; 2]>) -> Self {
         Self { name: name.into(), colour, points, is_line: true }
     }
 
     /// Points alone.
     #[must_use]
-    pub fn dots(name: &str, colour: Colour, points: Vec<[f64; 2]>) -> Self {
+    pub fn dots(name: &str, colour: ColourRole, points: Vec<[f64; 2]>) -> Self {
         Self { name: name.into(), colour, points, is_line: false }
     }
 
@@ -218,7 +220,7 @@ mod tests {
     use super::*;
 
     fn chart(points: Vec<[f64; 2]>) -> Chart {
-        let series = vec![Series::dots("a <b>", Colour::Before, points)];
+        let series = vec![ChartSeries::dots("a <b>", ColourRole::Before, points)];
         Chart { title: "t".into(), x: "time, min".into(), y: "error, µm".into(), series }
     }
 
@@ -233,7 +235,7 @@ mod tests {
 
     #[test]
     fn a_picture_that_stands_alone_has_its_legend_and_its_style() {
-        let svg = chart(vec![[0.0, 1.0], [2.0, 3.0]]).standalone_svg();
+        let svg = chart(vec![[0.0, 1.0], [2.0, 3.0]]).to_standalone_svg();
         assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{svg}");
         assert!(svg.contains("<style>") && svg.contains("● a &lt;b&gt;"), "{svg}");
     }
@@ -255,7 +257,7 @@ mod tests {
         let (_, dots) = figure.split_once("class=\"dots before\" d=\"").expect("dots");
         for dot in dots.split("h0").filter_map(|dot| dot.strip_prefix('M')) {
             let x: f64 = dot.split(' ').next().and_then(|x| x.parse().ok()).expect("a number");
-            assert!((MARGINS[0]..=WIDTH - MARGINS[1]).contains(&x), "{x}");
+            assert!((MARGINS[0]..=CHART_WIDTH - MARGINS[1]).contains(&x), "{x}");
         }
     }
 }

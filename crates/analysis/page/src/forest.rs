@@ -3,16 +3,16 @@
 use std::fmt::Write as _;
 
 use crate::{
-    chart::Colour,
+    chart::ColourRole,
     html::escape_html,
     number::{axis_ticks, format_significant},
 };
 
-const WIDTH: f64 = 640.0;
+const PLOT_WIDTH: f64 = 640.0;
 /// From row to row.
 const ROW_HEIGHT: f64 = 18.0;
 /// Left, right, top, bottom: room for the names and the numbers of the axis.
-const MARGIN: [f64; 4] = [190.0, 14.0, 10.0, 42.0];
+const MARGINS: [f64; 4] = [190.0, 14.0, 10.0, 42.0];
 /// The longest name that has room, in characters.
 const MAX_NAME_CHARS: usize = 26;
 
@@ -48,13 +48,13 @@ impl ForestPlot {
     #[must_use]
     pub fn to_figure(&self) -> String {
         let Some([low, high]) = self.extent() else { return String::new() };
-        let [left, right, top, bottom] = MARGIN;
+        let [left, right, top, bottom] = MARGINS;
         let rows = self.rows.len() + usize::from(self.mean.is_some());
-        let (floor, end) = (top + ROW_HEIGHT * rows as f64, WIDTH - right);
+        let (floor, end) = (top + ROW_HEIGHT * rows as f64, PLOT_WIDTH - right);
         let height = floor + bottom;
         let at = |value: f64| left + (value.clamp(low, high) - low) / (high - low) * (end - left);
         let mut svg = format!(
-            "<figure><svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
+            "<figure><svg viewBox=\"0 0 {PLOT_WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
             escape_html(&self.title)
         );
         for (value, label) in axis_ticks(low, high, 6.0) {
@@ -70,7 +70,7 @@ impl ForestPlot {
             let x = at(mean);
             let _ = write!(svg, "<path class=\"line truth\" d=\"M{x:.1} {top}V{floor}\"/>");
         }
-        let mut bar = |(value, [from, to]): ValueWithInterval, y: f64, colour: Colour| {
+        let mut bar = |(value, [from, to]): ValueWithInterval, y: f64, colour: ColourRole| {
             let class = colour.css_class();
             let _ = write!(
                 svg,
@@ -84,11 +84,13 @@ impl ForestPlot {
         for (number, row) in self.rows.iter().enumerate() {
             let middle = top + ROW_HEIGHT * (number as f64 + 0.5);
             let apart = if row.shared.is_some() { 0.18 * ROW_HEIGHT } else { 0.0 };
-            bar(row.own, middle - apart, Colour::Before);
-            row.shared.into_iter().for_each(|shared| bar(shared, middle + apart, Colour::After));
+            bar(row.own, middle - apart, ColourRole::Before);
+            row.shared
+                .into_iter()
+                .for_each(|shared| bar(shared, middle + apart, ColourRole::After));
         }
         if let Some(mean) = self.mean {
-            bar(mean, floor - 0.5 * ROW_HEIGHT, Colour::Truth);
+            bar(mean, floor - 0.5 * ROW_HEIGHT, ColourRole::Truth);
         }
         let names = self.rows.iter().map(|row| row.name.as_str());
         for (number, name) in names.chain(self.mean.map(|_| "mean")).enumerate() {

@@ -8,7 +8,7 @@ use crate::hyphen_breaks::prevent_hyphen_breaks;
 
 /// One style for all pages. Colours are variables, so that a picture turns dark with its page; on paper
 /// everything is dark on white, and no picture or table is cut by the end of a sheet.
-const STYLE: &str = "\
+const PAGE_STYLE: &str = "\
 :root{--ink:#1d2329;--soft:#5b6670;--paper:#fff;--card:#f5f6f7;--rule:#d5dade;--before:#b5501f;\
 --after:#1c62ad;--measured:#5b6670;--truth:#2e7d32;--good:#2e7d32;--open:#a86500;--bad:#b3261e}\
 @media(prefers-color-scheme:dark){:root{--ink:#e4e8eb;--soft:#9aa5ae;--paper:#14181b;--card:#1e2428;\
@@ -169,7 +169,7 @@ impl Page {
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
-             <title>{}</title>\n<style>{STYLE}</style></head>\n<body>\n{}</body></html>\n",
+             <title>{}</title>\n<style>{PAGE_STYLE}</style></head>\n<body>\n{}</body></html>\n",
             escape_html(&self.title),
             prevent_hyphen_breaks(&self.body)
         )

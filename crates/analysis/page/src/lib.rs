@@ -21,12 +21,12 @@ mod point_reduction;
 mod polar;
 
 pub use bars::BarChart;
-pub use chart::{Chart, Colour, Series};
+pub use chart::{Chart, ChartSeries, ColourRole};
 pub use forest::{ForestPlot, ForestRow, ValueWithInterval};
 pub use html::{HtmlTable, NEXT_COMMANDS_HEADING, Page, commands_html, escape_html};
 pub use number::{
     choose_time_unit, decimals_for_half_width, format_micrometres, format_significant,
     format_with_interval,
 };
-pub use origin::Origin;
+pub use origin::Provenance;
 pub use polar::PolarPlot;

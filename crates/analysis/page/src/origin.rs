@@ -4,7 +4,7 @@ use crate::html::{HtmlTable, Page, escape_html};
 
 /// Of what, when and by which version a page was made.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Origin {
+pub struct Provenance {
     /// The version of the tool.
     pub version: String,
     /// The day, as `2026-11-22`, in UTC.
@@ -15,8 +15,8 @@ pub struct Origin {
 
 impl Page {
     /// The foot of a page.
-    pub fn add_provenance_footer(&mut self, origin: &Origin) {
-        let Origin { version, date, files } = origin;
+    pub fn add_provenance_footer(&mut self, origin: &Provenance) {
+        let Provenance { version, date, files } = origin;
         let files: Vec<String> =
             files.iter().map(|(name, crc)| format!("{name} (CRC-32 {crc:08x})")).collect();
         let from =
@@ -51,7 +51,7 @@ mod tests {
     fn a_page_names_version_day_and_files() {
         let files = vec![("a.csv".into(), 0xCBF4_3926), ("<m>".into(), 1)];
         let mut page = Page::new("t");
-        page.add_provenance_footer(&Origin {
+        page.add_provenance_footer(&Provenance {
             version: "1.2.3".into(),
             date: "2026-11-22".into(),
             files,

@@ -2,7 +2,9 @@
 
 use std::fmt::Write as _;
 
-use crate::{Series, chart::caption, html::escape_html, number::axis_ticks, point_reduction};
+use crate::{
+    ChartSeries, chart::figure_end_html, html::escape_html, number::axis_ticks, point_reduction,
+};
 
 /// Width and height.
 const PLOT_SIZE: f64 = 420.0;
@@ -19,14 +21,14 @@ pub struct PolarPlot {
     /// The names of the axes to the right and upward.
     pub axes: [String; 2],
     /// The curves, the last on top.
-    pub series: Vec<Series>,
+    pub series: Vec<ChartSeries>,
 }
 
 impl PolarPlot {
     /// Returns the plot as a figure; an empty text without points.
     #[must_use]
     pub fn to_figure(&self) -> String {
-        let all = || self.series.iter().flat_map(Series::visible_points);
+        let all = || self.series.iter().flat_map(ChartSeries::visible_points);
         let largest = all().map(|[_, um]| um.abs()).fold(0.0, f64::max);
         if all().next().is_none() {
             return String::new();
@@ -80,7 +82,7 @@ impl PolarPlot {
                 point_reduction::curve_path(&points)
             );
         }
-        svg + &caption(&self.title, &self.series)
+        svg + &figure_end_html(&self.title, &self.series)
     }
 }
 
@@ -89,12 +91,12 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     use super::*;
-    use crate::Colour;
+    use crate::ColourRole;
 
     #[test]
     fn a_positive_deviation_is_outside_the_circle_and_plus_is_right_and_up() {
         let points = vec![[0.0, 10.0], [FRAC_PI_2, -5.0], [PI, f64::NAN]];
-        let series = vec![Series::line("a <b>", Colour::Before, points)];
+        let series = vec![ChartSeries::line("a <b>", ColourRole::Before, points)];
         let polar = PolarPlot { title: "t".into(), axes: ["X".into(), "Y".into()], series };
         let figure = polar.to_figure();
         // 210 + 125 + 65 to the right; 210 − (125 − 32.5) upward.

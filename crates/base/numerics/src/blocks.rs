@@ -14,7 +14,7 @@ pub const MAX_BLOCKS: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
 pub const MIN_CORRELATION_TIMES_PER_BLOCK: f64 = 5.0;
 /// Standard errors by which one of two predicts better: the rule of one (Breiman 1984).
-pub const MIN_IMPROVEMENT_SIGMAS: f64 = 1.0;
+pub const MIN_GAIN_STANDARD_ERRORS: f64 = 1.0;
 /// Standard errors that are beyond doubt, as 95 % go; the coverage factor of an expanded uncertainty of 95 % (GUM 6.2:
 /// 1.96, rounded to 2).
 pub const COVERAGE_FACTOR_95: f64 = 2.0;
@@ -63,7 +63,7 @@ impl PairedComparison {
     /// difference: else both predict equally well.
     #[must_use]
     pub fn is_better(&self) -> bool {
-        self.gain > MIN_IMPROVEMENT_SIGMAS * self.standard_error
+        self.gain > MIN_GAIN_STANDARD_ERRORS * self.standard_error
     }
 
     /// Returns whether it is less by more than two standard errors: beyond doubt, as 95 % go.

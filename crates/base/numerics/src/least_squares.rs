@@ -19,6 +19,6 @@ pub mod nonlinear;
 pub mod normal;
 pub mod separable;
 
-pub use givens_qr::{DependentColumn, GivensQr, Solution};
+pub use givens_qr::{DependentColumn, GivensQr, QrSolution};
 pub use nonlinear::{Model, NonlinearFit, SolveError, SolverOptions, fit};
 pub use separable::{SeparableModel, fit_separable};

@@ -30,14 +30,14 @@ impl NoiseModel {
     /// Noise without a memory: rows are independent.
     pub const WHITE: Self = Self { memory: 0.0, white: 1.0 };
 
-    fn decay(&self, steps: f64) -> f64 {
+    fn decay_factor(&self, steps: f64) -> f64 {
         if self.memory <= 0.0 { 0.0 } else { (-steps / self.memory).exp() }
     }
 
     /// Correlation between rows `steps` apart, above 0.
     #[cfg(test)]
     fn correlation(&self, steps: f64) -> f64 {
-        (1.0 - self.white) * self.decay(steps)
+        (1.0 - self.white) * self.decay_factor(steps)
     }
 }
 
@@ -94,7 +94,7 @@ impl Whitener {
                 0.0
             } else {
                 if steps != last_steps {
-                    (last_steps, last_decay) = (steps, noise.decay(steps));
+                    (last_steps, last_decay) = (steps, noise.decay_factor(steps));
                 }
                 last_decay
             };
@@ -116,26 +116,29 @@ impl Whitener {
 
     /// Values with this noise in them, made independent with variance 1: as many as there are rows.
     #[must_use]
-    pub fn apply(&self, values: &[f64]) -> Vec<f64> {
+    pub fn whiten(&self, values: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; self.decay.len()];
-        self.apply_lanes([values], [&mut out]);
+        self.whiten_lanes([values], [&mut out]);
         out
     }
 }
 
 impl Whitener {
     /// [`apply`](Self::apply) to each of `columns`.
-    pub fn apply_all<'c>(&self, columns: impl IntoIterator<Item = &'c Vec<f64>>) -> Vec<Vec<f64>> {
+    pub fn whiten_columns<'c>(
+        &self,
+        columns: impl IntoIterator<Item = &'c Vec<f64>>,
+    ) -> Vec<Vec<f64>> {
         let columns: Vec<&Vec<f64>> = columns.into_iter().collect();
         let rows = self.decay.len();
         let mut all = vec![0.0; rows * columns.len()];
-        self.apply_into(&columns, &mut all);
+        self.whiten_columns_into(&columns, &mut all);
         all.chunks_exact(rows.max(1)).map(<[f64]>::to_vec).collect()
     }
 
     /// [`apply`](Self::apply) to each of `columns`, one after the other into `out`, which has as many numbers
     /// as all of them.
-    pub fn apply_into(&self, columns: &[&Vec<f64>], out: &mut [f64]) {
+    pub fn whiten_columns_into(&self, columns: &[&Vec<f64>], out: &mut [f64]) {
         /// Columns side by side: one alone waits for each step.
         const LANES: usize = 4;
         let rows = self.decay.len();
@@ -150,18 +153,18 @@ impl Whitener {
             }
             let &[a, b, c, d] = columns else {
                 for (out, column) in written.zip(columns) {
-                    self.apply_lanes([&column[..rows]], [out]);
+                    self.whiten_lanes([&column[..rows]], [out]);
                 }
                 continue;
             };
             let read = [a, b, c, d].map(|column| &column[..rows]);
             let written = [(); LANES].map(|()| written.next().unwrap_or_default());
-            self.apply_lanes(read, written);
+            self.whiten_lanes(read, written);
         }
     }
 
     /// The filter, on columns and into slices of as many rows as there are.
-    fn apply_lanes<const LANES: usize>(
+    fn whiten_lanes<const LANES: usize>(
         &self,
         read: [&[f64]; LANES],
         mut written: [&mut [f64]; LANES],
@@ -193,7 +196,7 @@ pub fn multiply_by_covariance(noise: NoiseModel, steps: &RowSpacings, values: &[
     let decay: Vec<f64> = steps
         .0
         .iter()
-        .map(|&steps| if steps.is_infinite() { 0.0 } else { noise.decay(steps) })
+        .map(|&steps| if steps.is_infinite() { 0.0 } else { noise.decay_factor(steps) })
         .collect();
     let mut sum = 0.0;
     for row in 1..rows {
@@ -234,8 +237,8 @@ pub(crate) fn deviances<const NOISES: usize>(
         for (&steps, value) in steps.iter().zip(residual) {
             if steps != last_steps {
                 last_steps = steps;
-                decay =
-                    noises.map(|noise| if steps.is_infinite() { 0.0 } else { noise.decay(steps) });
+                decay = noises
+                    .map(|noise| if steps.is_infinite() { 0.0 } else { noise.decay_factor(steps) });
             }
             for n in 0..NOISES {
                 let squared = decay[n] * decay[n];
@@ -332,7 +335,7 @@ pub fn estimate(
 }
 
 /// Returns a draw of the noise at variance 1.
-pub fn draw(noise: NoiseModel, steps: &RowSpacings, generator: &mut Generator) -> Vec<f64> {
+pub fn draw_noise(noise: NoiseModel, steps: &RowSpacings, generator: &mut Generator) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();
     let mut state = 0.0;
@@ -340,7 +343,7 @@ pub fn draw(noise: NoiseModel, steps: &RowSpacings, generator: &mut Generator) -
         .0
         .iter()
         .map(|&steps| {
-            let decay = if steps.is_infinite() { 0.0 } else { noise.decay(steps) };
+            let decay = if steps.is_infinite() { 0.0 } else { noise.decay_factor(steps) };
             let [a, b] = [generator.normal(), generator.normal()];
             state = decay * state + (1.0 - decay * decay).sqrt() * a;
             slow * state + quick * b
@@ -357,12 +360,13 @@ mod tests {
         let mut steps = steps(500);
         steps.0[100] = 1.7;
         steps.0[300] = f64::INFINITY;
-        let drawn = draw(NoiseModel { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
+        let drawn =
+            draw_noise(NoiseModel { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
         let noises = [(0.0, 1.0), (3.0, 0.0), (9.0, 0.3), (80.0, 0.98)];
         let noises = noises.map(|(memory, white)| NoiseModel { memory, white });
         for (noise, found) in noises.into_iter().zip(deviances(noises, &steps, &drawn)) {
             let whitener = Whitener::new(noise, &steps);
-            let sum: f64 = whitener.apply(&drawn).iter().map(|e| e * e).sum();
+            let sum: f64 = whitener.whiten(&drawn).iter().map(|e| e * e).sum();
             let plain = 500.0 * (sum / 500.0).ln() + whitener.log_det;
             assert!((found - plain).abs() < 1e-9 * plain.abs(), "{found} {plain}");
         }
@@ -378,8 +382,8 @@ mod tests {
     fn whitened_noise_has_variance_one_and_no_memory() {
         let noise = NoiseModel { memory: 30.0, white: 0.2 };
         let steps = steps(20_000);
-        let drawn = draw(noise, &steps, &mut Generator::new(1));
-        let white = Whitener::new(noise, &steps).apply(&drawn);
+        let drawn = draw_noise(noise, &steps, &mut Generator::new(1));
+        let white = Whitener::new(noise, &steps).whiten(&drawn);
         let mean_square = white.iter().map(|e| e * e).sum::<f64>() / white.len() as f64;
         let next: f64 = white.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
         let next = next / white.len() as f64;
@@ -406,7 +410,7 @@ mod tests {
         for (memory, white) in [(0.0, 1.0), (5.0, 0.0), (33.0, 0.0), (20.0, 0.5)] {
             let noise = NoiseModel { memory, white };
             let steps = steps(3000);
-            let drawn = draw(noise, &steps, &mut Generator::new(7));
+            let drawn = draw_noise(noise, &steps, &mut Generator::new(7));
             let found = estimate(&drawn, &steps, max_autocorrelation_time(3000), 0);
             println!("{noise:?} found as {found:?}");
             let (there, here) =

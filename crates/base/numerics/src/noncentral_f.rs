@@ -18,7 +18,7 @@ use statrs::{
 /// No test needs more than that; beyond it the sum would only be longer.
 const MAX_NONCENTRALITY: f64 = 2e5;
 /// Weights of the sum below this are left out.
-const MIN_WEIGHT: f64 = 1e-17;
+const MIN_POISSON_WEIGHT: f64 = 1e-17;
 
 /// Returns the chance, 0…1, that an F test at the level `significance` with `constants` and `freedom` degrees of
 /// freedom finds an effect of this `noncentrality`; 0 where nothing is left to test with.
@@ -44,12 +44,12 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
     let largest = half.floor();
     let mut sum = 0.0;
     let mut j = largest;
-    while j >= 0.0 && weight(j) > MIN_WEIGHT {
+    while j >= 0.0 && weight(j) > MIN_POISSON_WEIGHT {
         sum += weight(j) * missed(j);
         j -= 1.0;
     }
     j = largest + 1.0;
-    while weight(j) > MIN_WEIGHT {
+    while weight(j) > MIN_POISSON_WEIGHT {
         sum += weight(j) * missed(j);
         j += 1.0;
     }

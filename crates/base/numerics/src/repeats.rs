@@ -28,8 +28,8 @@ pub use grid_determinacy::{DETERMINACY_THRESHOLD, max_point_variance};
 pub use gross_errors::find_gross_errors;
 pub use interpolation_check::{InterpolationCheck, MIN_R_SQUARED, check_interpolation};
 pub use power::required_cycles;
-pub use reading::{RepeatReading, SAME_PLACE_TOLERANCE, cycle_numbers, group_positions};
-pub use table::{Table, TableLaw};
+pub use reading::{POSITION_TOLERANCE_PER_STEP, RepeatReading, cycle_numbers, group_positions};
+pub use table::{TableFit, TableLaw};
 pub use table_selection::{
     LawTest, MIN_TABLE_POSITIONS, SIGNIFICANCE_LEVEL, TableRejection, TableSelection, is_worse,
     select_table,

@@ -2,17 +2,17 @@
 //!
 //! Three kinds of data, three ways to say what the rest is:
 //!
-//! - **A series** ([`series_outliers`]): what is warm moves slowly. Each row is compared with a line
+//! - **A series** ([`find_series_outliers`]): what is warm moves slowly. Each row is compared with a line
 //!   through its neighbours in time (the median of the slopes of all pairs, Theil and Sen, and the
 //!   median height), without itself. A single row or a short burst that leaves and comes back is a
 //!   gross error; a level that stays is a step of the machine, and no row of it is excluded. Which
 //!   model explains the series does not matter.
-//! - **A relation** ([`regression_outliers`]): y against columns x. First the fit of many small random
+//! - **A relation** ([`find_regression_outliers`]): y against columns x. First the fit of many small random
 //!   samples (their seed is fixed: the same data gives the same rows) whose median residual is
 //!   smallest, which up to half of the rows cannot spoil; from there least squares with Tukey's
 //!   biweight at 4.685 scales, which comes near to plain least squares where nothing is wrong (an
 //!   MM estimate).
-//! - **A residual** ([`residual_outliers`]): what a model leaves, which may still hold a cause that is not named yet. Each
+//! - **A residual** ([`flag_residual_outliers`]): what a model leaves, which may still hold a cause that is not named yet. Each
 //!   row is compared with the median of its six neighbours and itself.
 //!
 //! Neither of the tests in order does for the other (measured, `tests/outliers.rs`; 20 runs of 400 rows
@@ -44,9 +44,9 @@ mod tail_probability;
 mod tests;
 
 pub use isolation::isolated_outliers;
-pub use regression::{MIN_ROWS_PER_COLUMN, regression_outliers};
-pub use residual::{MAX_OUTLIER_FRACTION, residual_outliers};
-pub use series::{MIN_SERIES_ROWS, series_outliers};
+pub use regression::{MIN_ROWS_PER_COLUMN, find_regression_outliers};
+pub use residual::{MAX_OUTLIER_FRACTION, flag_residual_outliers};
+pub use series::{MIN_SERIES_ROWS, find_series_outliers};
 pub use statistics::median;
 pub(crate) use statistics::outlier_cutoff;
 pub use statistics::{MIN_CUTOFF_SCALES, Outlier};

@@ -66,11 +66,11 @@ impl<F: Fn(f64, &[f64], &mut [f64]) -> f64> Model for Formula<F> {
         true
     }
 
-    fn derivatives(&self, b: &[f64], columns: &mut [Vec<f64>]) -> bool {
-        let mut derivatives = vec![0.0; b.len()];
+    fn evaluate_derivatives(&self, b: &[f64], columns: &mut [Vec<f64>]) -> bool {
+        let mut evaluate_derivatives = vec![0.0; b.len()];
         for (row, &x) in self.1.iter().enumerate() {
-            (self.2)(x, b, &mut derivatives);
-            columns.iter_mut().zip(&derivatives).for_each(|(column, d)| column[row] = *d);
+            (self.2)(x, b, &mut evaluate_derivatives);
+            columns.iter_mut().zip(&evaluate_derivatives).for_each(|(column, d)| column[row] = *d);
         }
         true
     }
@@ -154,7 +154,7 @@ fn gauss_newton(model: &impl Model, set: &Set, step: Step) -> Vec<f64> {
     let mut values = vec![0.0; set.y.len()];
     let mut columns = vec![values.clone(); b.len()];
     for _ in 0..30 {
-        assert!(model.evaluate(&b, &mut values) && model.derivatives(&b, &mut columns));
+        assert!(model.evaluate(&b, &mut values) && model.evaluate_derivatives(&b, &mut columns));
         let residual: Vec<f64> = set.y.iter().zip(&values).map(|(y, value)| y - value).collect();
         b.iter_mut().zip(step(&columns, &residual)).for_each(|(b, step)| *b += step);
     }

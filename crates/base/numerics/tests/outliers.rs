@@ -7,7 +7,7 @@ use std::{f64::consts::TAU, time::Instant};
 
 use trueup_numerics::{
     random::Generator,
-    robust::{residual_outliers, series_outliers},
+    robust::{find_series_outliers, flag_residual_outliers},
 };
 
 const RUNS: usize = 20;
@@ -39,8 +39,8 @@ fn compare(kind: &str) -> [[usize; 2]; 2] {
         let wrong: Vec<usize> = (0..5).map(|n| 80 * n + 30).collect();
         wrong.iter().for_each(|&row| y[row] += 40.0);
         let by_series: Vec<usize> =
-            series_outliers(&time, &y).iter().map(|outlier| outlier.row).collect();
-        let by_residual: Vec<usize> = residual_outliers(&y, &series, 0.0)
+            find_series_outliers(&time, &y).iter().map(|outlier| outlier.row).collect();
+        let by_residual: Vec<usize> = flag_residual_outliers(&y, &series, 0.0)
             .into_iter()
             .enumerate()
             .filter(|(_, is_gross)| *is_gross)
@@ -80,11 +80,15 @@ fn neither_test_does_for_the_other() {
     let time: Vec<f64> = (0..rows).map(|row| row as f64).collect();
     let y: Vec<f64> = (0..rows).map(|_| generator.normal()).collect();
     let start = Instant::now();
-    assert!(series_outliers(&time, &y).len() < 3);
+    assert!(find_series_outliers(&time, &y).len() < 3);
     let series = start.elapsed();
     let start = Instant::now();
     assert!(
-        residual_outliers(&y, &vec![0; rows], 0.0).iter().filter(|is_gross| **is_gross).count() < 3
+        flag_residual_outliers(&y, &vec![0; rows], 0.0)
+            .iter()
+            .filter(|is_gross| **is_gross)
+            .count()
+            < 3
     );
     let residual = start.elapsed();
     println!("{rows} rows: {series:.2?} and {residual:.2?}");

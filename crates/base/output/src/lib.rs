@@ -5,7 +5,7 @@
 //! | stream cannot be written | `write_diagnostic` | `write_result` |
 //! |---|---|---|
 //! | reader gone (`EPIPE`) | dropped | dropped; the command goes on, its exit status stands |
-//! | full disk, I/O error | dropped | an error; after [`enable_background_output`] or [`enable_best_effort`] a diagnostic |
+//! | full disk, I/O error | dropped | an error; after [`enable_background_output`] or [`enable_best_effort_output`] a diagnostic |
 //! | busy (`EAGAIN`) | waits one second, then dropped | waits |
 //! | reader stopped, pipe full | waits; after [`enable_background_output`] dropped and counted | waits; after [`enable_background_output`] dropped and counted |
 //!
@@ -41,7 +41,7 @@ static STDOUT_CLOSED: AtomicBool = AtomicBool::new(false);
 /// A result that cannot be written is reported as a diagnostic.
 static IS_BEST_EFFORT: AtomicBool = AtomicBool::new(false);
 /// That has been reported.
-static IS_FAILURE_REPORTED: AtomicBool = AtomicBool::new(false);
+static IS_OUTPUT_FAILURE_REPORTED: AtomicBool = AtomicBool::new(false);
 static OUTPUT_QUEUES: OnceLock<OutputQueues> = OnceLock::new();
 
 /// The queues of a control path.
@@ -53,7 +53,7 @@ struct OutputQueues {
 /// Writes both streams from threads of their own from now on: no call waits, lines that a stream does not take are
 /// dropped and counted, and no failure to write is an error.
 pub fn enable_background_output() {
-    enable_best_effort();
+    enable_best_effort_output();
     OUTPUT_QUEUES.get_or_init(|| OutputQueues {
         output: LineQueue::new("standard output", io::stdout()),
         error: LineQueue::new("standard error", io::stderr()),
@@ -62,7 +62,7 @@ pub fn enable_background_output() {
 
 /// Reports a result that cannot be written as a diagnostic from now on: for a command whose product is not what it
 /// prints, such as one that changes a bridge.
-pub fn enable_best_effort() {
+pub fn enable_best_effort_output() {
     IS_BEST_EFFORT.store(true, Ordering::Relaxed);
 }
 
@@ -82,7 +82,7 @@ pub fn write_diagnostic(text: impl Display) {
 
 /// Writes text to standard error unchanged, colours and cursor movements included: what a user's file has brought
 /// into it is escaped already. Never fails.
-pub fn write_styled(text: impl Display) {
+pub fn write_styled_diagnostic(text: impl Display) {
     write_to_stderr(format!("{text}\n"));
 }
 
@@ -94,31 +94,31 @@ pub fn write_prompt(question: impl Display) {
 /// Writes a result on a line of its own to standard output, escaped except for its line breaks.
 ///
 /// # Errors
-/// Standard output cannot be written, and its reader has not just left. Never after [`enable_background_output`] or [`enable_best_effort`].
+/// Standard output cannot be written, and its reader has not just left. Never after [`enable_background_output`] or [`enable_best_effort_output`].
 pub fn write_result(text: impl Display) -> io::Result<()> {
     let text = format!("{}\n", escape_lines(&text.to_string()));
     if let Some(OutputQueues { output, .. }) = OUTPUT_QUEUES.get() {
         output.push(text);
         return Ok(());
     }
-    ignore_best_effort_error(
+    report_best_effort_error(
         StdoutWriter.write_all(text.as_bytes()).and_then(|()| StdoutWriter.flush()),
     )
 }
 
 /// Writes a line to standard output as [`write_result`] does; a failure is a diagnostic. For tools of the workshop, and for
 /// what a control path reports.
-pub fn write_line(text: impl Display) {
-    enable_best_effort();
+pub fn write_line_best_effort(text: impl Display) {
+    enable_best_effort_output();
     // A best effort has reported its failure.
     _ = write_result(text);
 }
 
 /// Reports the failure of a best effort once, as a diagnostic.
-fn ignore_best_effort_error(written: io::Result<()>) -> io::Result<()> {
+fn report_best_effort_error(written: io::Result<()>) -> io::Result<()> {
     match written {
         Err(error) if IS_BEST_EFFORT.load(Ordering::Relaxed) => {
-            if !IS_FAILURE_REPORTED.swap(true, Ordering::Relaxed) {
+            if !IS_OUTPUT_FAILURE_REPORTED.swap(true, Ordering::Relaxed) {
                 write_diagnostic(format_args!(
                     "warning: standard output cannot be written: {error}"
                 ));
@@ -135,7 +135,7 @@ pub struct StdoutWriter;
 
 impl Write for StdoutWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match has_reader() {
+        match has_stdout_reader() {
             false => Ok(bytes.len()),
             true => ignore_broken_pipe(
                 retry_until_deadline(None, || io::stdout().lock().write(bytes)),
@@ -145,7 +145,7 @@ impl Write for StdoutWriter {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match has_reader() {
+        match has_stdout_reader() {
             false => Ok(()),
             true => {
                 ignore_broken_pipe(retry_until_deadline(None, || io::stdout().lock().flush()), ())
@@ -167,19 +167,19 @@ fn ignore_broken_pipe<T>(written: io::Result<T>, done: T) -> io::Result<T> {
 
 /// Returns false once the reader of standard output has left (`| head`): a command that prints without end ends then.
 #[must_use]
-pub fn has_reader() -> bool {
+pub fn has_stdout_reader() -> bool {
     !STDOUT_CLOSED.load(Ordering::Relaxed)
 }
 
 /// Returns true if standard output is a terminal.
 #[must_use]
-pub fn is_output_terminal() -> bool {
+pub fn is_stdout_terminal() -> bool {
     io::stdout().is_terminal()
 }
 
 /// Returns true if standard error is a terminal.
 #[must_use]
-pub fn is_error_terminal() -> bool {
+pub fn is_stderr_terminal() -> bool {
     io::stderr().is_terminal()
 }
 

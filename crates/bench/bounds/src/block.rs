@@ -45,12 +45,12 @@ impl BasicBlock {
     /// The address behind it.
     #[must_use]
     pub(crate) fn end_address(&self) -> u32 {
-        self.last().end_address()
+        self.last_instruction().end_address()
     }
 
     /// Its last instruction.
     #[must_use]
-    pub fn last(&self) -> &Instruction {
+    pub fn last_instruction(&self) -> &Instruction {
         self.instructions.last().expect("a block is never empty")
     }
 }

@@ -4,7 +4,7 @@ use crate::decode::{AddressingMode, MemoryAccess};
 
 /// A clock of the core and its waits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Clock {
+pub struct ClockConfiguration {
     /// Its name, as the command prints it.
     pub name: &'static str,
     /// Cycles in a microsecond.
@@ -18,22 +18,22 @@ pub struct Clock {
 }
 
 /// All of them.
-pub const CLOCKS: [Clock; 3] = [
-    Clock { name: "168 MHz", mhz: 168, flash: 5, apb1: 4, apb2: 2 },
-    Clock { name: "144 MHz", mhz: 144, flash: 4, apb1: 4, apb2: 2 },
-    Clock { name: "16 MHz", mhz: 16, flash: 0, apb1: 1, apb2: 1 },
+pub const CLOCK_CONFIGURATIONS: [ClockConfiguration; 3] = [
+    ClockConfiguration { name: "168 MHz", mhz: 168, flash: 5, apb1: 4, apb2: 2 },
+    ClockConfiguration { name: "144 MHz", mhz: 144, flash: 4, apb1: 4, apb2: 2 },
+    ClockConfiguration { name: "16 MHz", mhz: 16, flash: 0, apb1: 1, apb2: 1 },
 ];
 
 /// Bytes of a line of the flash: one read brings 128 bits (RM0090 3.5.1).
 pub(crate) const FLASH_LINE_BYTES: u32 = 16;
 /// Lines that the cache of the flash holds (RM0090 3.5.2).
-pub(crate) const CACHE_LINES: usize = 64;
+pub(crate) const FLASH_CACHE_LINES: usize = 64;
 /// Cycles in which the pipeline is filled after a branch, at the longest (DDI 0439, table 3-1: 1 to 3).
 pub(crate) const PIPELINE_REFILL_CYCLES: u64 = 3;
 /// Bytes that the core may have asked for ahead of a branch: three words (DDI 0439, prefetch unit).
 const PREFETCH_BYTES: u32 = 12;
 
-impl Clock {
+impl ClockConfiguration {
     /// Returns the waits of an access, whose address is a number where `address` has one; `is_ram`: it is in the RAM.
     #[must_use]
     pub(crate) fn access_wait_cycles(
@@ -66,7 +66,7 @@ impl Clock {
 
     /// Returns the waits for the lines of the flash within a stretch of code, the first of them not among them.
     #[must_use]
-    pub(crate) fn line_wait_cycles(&self, start: u32, end: u32) -> u32 {
+    pub(crate) fn flash_line_wait_cycles(&self, start: u32, end: u32) -> u32 {
         ((end - 1) / FLASH_LINE_BYTES - start / FLASH_LINE_BYTES) * self.flash
     }
 

@@ -31,12 +31,16 @@ impl ControlFlowGraph {
     /// # Errors
     /// It branches by a register, or into the midst of another function, or its end is no branch.
     pub fn read(image: &Image, function: &Function) -> Result<Self> {
-        Self::read_at_depth(image, function, 0)
+        Self::read_at_outline_depth(image, function, 0)
     }
 
     /// As [`Self::read`], as part of another function, that many deep.
-    pub(crate) fn read_at_depth(image: &Image, function: &Function, depth: usize) -> Result<Self> {
-        ControlFlowGraphBuilder::read(image, function)?.build_graph(image, depth)
+    pub(crate) fn read_at_outline_depth(
+        image: &Image,
+        function: &Function,
+        depth: usize,
+    ) -> Result<Self> {
+        ControlFlowGraphBuilder::read(image, function)?.build_control_flow_graph(image, depth)
     }
 }
 
@@ -115,12 +119,12 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         format!("{} {what}, at {:#x}", self.function.name, one.at)
     }
 
-    fn is_within(&self, at: u32) -> bool {
+    fn contains_address(&self, at: u32) -> bool {
         (self.function.start..self.function.end).contains(&at)
     }
 
     /// Addresses at which a block begins.
-    fn block_starts(&self) -> BTreeSet<u32> {
+    fn block_start_addresses(&self) -> BTreeSet<u32> {
         let mut starts = BTreeSet::from([self.function.start]);
         for one in self.code.values() {
             match one.flow {
@@ -137,8 +141,8 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         starts
     }
 
-    fn build_graph(&self, image: &Image, depth: usize) -> Result<ControlFlowGraph> {
-        let starts = self.block_starts();
+    fn build_control_flow_graph(&self, image: &Image, depth: usize) -> Result<ControlFlowGraph> {
+        let starts = self.block_start_addresses();
         let mut blocks: Vec<BasicBlock> = Vec::new();
         for one in self.code.values() {
             let is_behind = blocks.last().is_none_or(|block| block.end_address() != one.at);
@@ -155,8 +159,9 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         for block in &mut blocks {
             self.connect_block(image, block, &numbers)?;
         }
-        let read =
-            |piece: &Function| Ok(ControlFlowGraph::read_at_depth(image, piece, depth + 1)?.blocks);
+        let read = |piece: &Function| {
+            Ok(ControlFlowGraph::read_at_outline_depth(image, piece, depth + 1)?.blocks)
+        };
         let blocks = outlined_code::inline_outlined(image, blocks, depth, read)?;
         Ok(retain_reachable(self.function.name.clone(), blocks))
     }
@@ -167,7 +172,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         block: &mut BasicBlock,
         numbers: &BTreeMap<u32, usize>,
     ) -> Result<()> {
-        let one = *block.last();
+        let one = *block.last_instruction();
         let fall = || Edge {
             to: numbers.get(&one.end_address()).copied().unwrap_or(usize::MAX),
             is_taken: false,
@@ -176,7 +181,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         match one.flow {
             ControlFlow::Next => block.next.push(fall()),
             ControlFlow::Jump(target) | ControlFlow::Zero { target, .. } => {
-                if self.is_within(target) {
+                if self.contains_address(target) {
                     let to = *numbers
                         .get(&target)
                         .with_context(|| self.format_problem(&one, "jumps into an instruction"))?;
@@ -309,7 +314,7 @@ pub(crate) fn returning_blocks(
         }
         for before in &graph.before[number] {
             // A call that is not always made leaves the way past it.
-            let is_conditional = graph.blocks[*before].last().condition.is_some();
+            let is_conditional = graph.blocks[*before].last_instruction().condition.is_some();
             if comes_back(*before) || is_conditional {
                 open.push(*before);
             }

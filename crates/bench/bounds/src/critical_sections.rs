@@ -13,7 +13,7 @@ use std::{
 
 use crate::{
     control_flow::ControlFlowGraph,
-    decode::InterruptMask,
+    decode::InterruptMaskChange,
     entry::FunctionEntry,
     longest_path,
     prepared_function::PreparedFunction,
@@ -38,7 +38,7 @@ pub struct CriticalSection {
 const PRIORITY_BITS: u32 = 4;
 
 /// The sections below functions, by the functions.
-pub struct CriticalSections<'a> {
+pub struct CriticalSectionAnalysis<'a> {
     program: &'a Program<'a>,
     worst: &'a WcetAnalysis<'a>,
     known: BTreeMap<FunctionEntry, Rc<InterruptMaskEffects>>,
@@ -57,12 +57,12 @@ struct InterruptMaskEffects {
 
 /// What a search for the end of a section follows.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum SectionKind {
+enum MaskingMechanism {
     Ceiling,
     Interrupts,
 }
 
-impl<'a> CriticalSections<'a> {
+impl<'a> CriticalSectionAnalysis<'a> {
     /// Returns an empty collection, priced as `worst` prices.
     #[must_use]
     pub fn new(program: &'a Program<'a>, worst: &'a WcetAnalysis<'a>) -> Self {
@@ -70,7 +70,7 @@ impl<'a> CriticalSections<'a> {
     }
 
     /// Returns the sections of a function and all that it calls.
-    pub fn sections_below(&mut self, entry: FunctionEntry) -> Vec<CriticalSection> {
+    pub fn sections_in_call_tree(&mut self, entry: FunctionEntry) -> Vec<CriticalSection> {
         let (mut seen, mut open, mut found) = (BTreeSet::new(), vec![entry], Vec::new());
         while let Some(entry) = open.pop() {
             if seen.insert(entry)
@@ -87,7 +87,7 @@ impl<'a> CriticalSections<'a> {
         if let Some(own) = self.known.get(&entry) {
             return Some(own.clone());
         }
-        let prepared = self.program.prepare(entry)?;
+        let prepared = self.program.prepare_function(entry)?;
         let calls: BTreeSet<FunctionEntry> = prepared.calls.iter().flatten().copied().collect();
         // A circle has no price, and there is a complaint about it.
         self.known.insert(entry, Rc::default());
@@ -100,7 +100,7 @@ impl<'a> CriticalSections<'a> {
         for number in 0..prepared.graph.blocks.len() {
             self.add_section(&prepared, &priced, number, &mut own);
         }
-        let from_entry = self.find_section_blocks(&prepared, SectionKind::Interrupts, &[0]);
+        let from_entry = self.find_section_blocks(&prepared, MaskingMechanism::Interrupts, &[0]);
         let has_on = |block: &usize| self.unmasks_interrupts(&prepared, *block);
         own.closes = from_entry.blocks.iter().any(has_on);
         let own = Rc::new(own);
@@ -117,14 +117,14 @@ impl<'a> CriticalSections<'a> {
         own: &mut InterruptMaskEffects,
     ) {
         let block = &prepared.graph.blocks[number];
-        let last = block.last();
+        let last = block.last_instruction();
         let opened = prepared.calls[number]
             .iter()
             .filter(|call| self.callee_satisfies(call, |own| own.opens));
         // What the callee itself takes while they are off is part of it, at most all that it takes.
         let called = opened.map(|call| self.worst.function_cycles(*call)).max();
         let (kind, ceiling) = match (last.mask, called) {
-            (Some(InterruptMask::Raise(register)), _) => {
+            (Some(InterruptMaskChange::Raise(register)), _) => {
                 let mut state = prepared.starts[number];
                 for one in &block.instructions[..block.instructions.len() - 1] {
                     state.step(self.program.image, one);
@@ -138,21 +138,23 @@ impl<'a> CriticalSections<'a> {
                 };
                 // A hardware priority counts downwards (Armv7-M, B1.4.3).
                 let logical = (1 << PRIORITY_BITS) - (value >> (8 - PRIORITY_BITS));
-                (SectionKind::Ceiling, Some(logical as u8))
+                (MaskingMechanism::Ceiling, Some(logical as u8))
             }
-            (Some(InterruptMask::Off), _) | (_, Some(_)) => (SectionKind::Interrupts, None),
+            (Some(InterruptMaskChange::Off), _) | (_, Some(_)) => {
+                (MaskingMechanism::Interrupts, None)
+            }
             _ => return,
         };
         let first: Vec<usize> = block.next.iter().map(|edge| edge.to).collect();
         let found = self.find_section_blocks(prepared, kind, &first);
         if found.returns {
-            if kind == SectionKind::Ceiling {
+            if kind == MaskingMechanism::Ceiling {
                 self.program.report_problem(format!(
                     "{} comes back with its ceiling raised at {:#x}",
                     prepared.graph.name, last.at
                 ));
             }
-            own.opens |= kind == SectionKind::Interrupts;
+            own.opens |= kind == MaskingMechanism::Interrupts;
         }
         let mut cycles = 0;
         for entry in first {
@@ -185,7 +187,9 @@ impl<'a> CriticalSections<'a> {
 
     fn unmasks_interrupts(&self, prepared: &PreparedFunction, number: usize) -> bool {
         let graph = &prepared.graph;
-        let has_on = |block: usize| graph.blocks[block].last().mask == Some(InterruptMask::On);
+        let has_on = |block: usize| {
+            graph.blocks[block].last_instruction().mask == Some(InterruptMaskChange::On)
+        };
         let calls = &prepared.calls[number];
         has_on(number) || calls.iter().any(|call| self.callee_satisfies(call, |own| own.closes))
     }
@@ -194,7 +198,7 @@ impl<'a> CriticalSections<'a> {
     fn find_section_blocks(
         &self,
         prepared: &PreparedFunction,
-        kind: SectionKind,
+        kind: MaskingMechanism,
         first: &[usize],
     ) -> SectionBlocks {
         let graph: &ControlFlowGraph = &prepared.graph;
@@ -207,18 +211,18 @@ impl<'a> CriticalSections<'a> {
             }
             found.blocks.insert(number);
             let block = &graph.blocks[number];
-            let depth = match (kind, block.last().mask) {
-                (SectionKind::Ceiling, Some(InterruptMask::Raise(_))) => depth + 1,
-                (SectionKind::Ceiling, Some(InterruptMask::Restore)) => depth - 1,
+            let depth = match (kind, block.last_instruction().mask) {
+                (MaskingMechanism::Ceiling, Some(InterruptMaskChange::Raise(_))) => depth + 1,
+                (MaskingMechanism::Ceiling, Some(InterruptMaskChange::Restore)) => depth - 1,
                 _ => depth,
             };
             let is_over = depth == 0
                 || depth > 8
-                || kind == SectionKind::Interrupts
+                || kind == MaskingMechanism::Interrupts
                     && (self.unmasks_interrupts(prepared, number)
                         || block.next.iter().any(|edge| {
                             let next = &graph.blocks[edge.to];
-                            next.last().mask == Some(InterruptMask::On)
+                            next.last_instruction().mask == Some(InterruptMaskChange::On)
                                 && next.instructions.len() <= 2
                         }));
             if depth > 8 {
@@ -228,12 +232,12 @@ impl<'a> CriticalSections<'a> {
             if is_over {
                 // The instruction that ends it may stand in the next block.
                 let ends = block.next.iter().map(|edge| edge.to);
-                if kind == SectionKind::Interrupts && !self.unmasks_interrupts(prepared, number) {
-                    found.blocks.extend(
-                        ends.filter(|next| {
-                            graph.blocks[*next].last().mask == Some(InterruptMask::On)
-                        }),
-                    );
+                if kind == MaskingMechanism::Interrupts
+                    && !self.unmasks_interrupts(prepared, number)
+                {
+                    found.blocks.extend(ends.filter(|next| {
+                        graph.blocks[*next].last_instruction().mask == Some(InterruptMaskChange::On)
+                    }));
                 }
                 continue;
             }

@@ -17,7 +17,7 @@ const BUSY_WAIT_FUNCTIONS: [&str; 1] = ["stm32f405::poll_until"];
 type DeclarationKey = (&'static str, usize);
 
 /// The table, the source that it names lines of, and what of it was used.
-pub(crate) struct Declarations<'a> {
+pub(crate) struct DeclarationLookup<'a> {
     image: &'a Image,
     /// The table.
     pub table: &'a DeclarationTable,
@@ -25,7 +25,7 @@ pub(crate) struct Declarations<'a> {
     used: RefCell<BTreeSet<DeclarationKey>>,
 }
 
-impl<'a> Declarations<'a> {
+impl<'a> DeclarationLookup<'a> {
     /// Returns the table for an image.
     #[must_use]
     pub fn new(image: &'a Image, table: &'a DeclarationTable, source: &'a SourceCode) -> Self {
@@ -77,11 +77,11 @@ impl<'a> Declarations<'a> {
             self.table.excluded.iter().filter(|declaration| !declaration.at.line.is_empty());
         let of_lines = self.table.lines.iter().filter(|_| is_within_line);
         for excluded in with_line.chain(of_lines) {
-            let last = block.last();
+            let last = block.last_instruction();
             let calls = block.call.is_some() || matches!(last.flow, ControlFlow::Call(_));
             let places = if calls { self.image.source_frames(last.at) } else { Vec::new() };
             if places.iter().any(|place| self.matches_location(&excluded.at, place)) {
-                self.mark_excluded_used(excluded);
+                self.mark_exclusion_used(excluded);
                 return true;
             }
             let mut has_place = false;
@@ -92,14 +92,14 @@ impl<'a> Declarations<'a> {
                 !placed || places.iter().any(|place| self.matches_location(&excluded.at, place))
             });
             if has_place && is_whole {
-                self.mark_excluded_used(excluded);
+                self.mark_exclusion_used(excluded);
                 return true;
             }
         }
         false
     }
 
-    fn mark_excluded_used(&self, excluded: &ExcludedCode) {
+    fn mark_exclusion_used(&self, excluded: &ExcludedCode) {
         let number =
             self.table.excluded.iter().position(|declaration| declaration.at == excluded.at);
         self.used.borrow_mut().extend(number.map(|number| ("excluded", number)));
@@ -127,7 +127,7 @@ impl<'a> Declarations<'a> {
     }
 
     /// Returns the number of the declaration for an address: the first that fits the innermost function has it.
-    pub(crate) fn find_declaration(
+    pub(crate) fn find_declaration_index(
         &self,
         kind: &'static str,
         spots: &[SourceLocation],

@@ -54,9 +54,9 @@ pub struct CalibrationSizes {
 
 impl CalibrationSizes {
     /// The largest that a board takes (`MAX_TERMS` and `MAX_TOOLS`, `core/src/dimensions.rs`).
-    pub const LARGEST: Self = Self { terms: 16, tools: 32 };
+    pub const MAX: Self = Self { terms: 16, tools: 32 };
     /// A calibration without terms.
-    pub const NONE: Self = Self { terms: 0, tools: 0 };
+    pub const EMPTY: Self = Self { terms: 0, tools: 0 };
 }
 
 /// A place in the source: a function, or a part of its path, and what stands in the line.
@@ -81,7 +81,7 @@ pub struct LoopBound {
 
 /// The longest that a copy of an unknown length can be.
 #[derive(Clone, Copy, Debug)]
-pub struct CopyLength {
+pub struct CopyLengthBound {
     /// The call.
     pub at: SourceLocation,
     /// Bytes.
@@ -112,7 +112,7 @@ pub struct ExcludedCode {
 
 /// A function that a turn calls once, though a loop or several paths have it.
 #[derive(Clone, Copy, Debug)]
-pub struct CalledOnce {
+pub struct CalledOnceFunction {
     /// Part of the function's name.
     pub function: &'static str,
     /// Microseconds between two calls in the long run, at the least, of all callers together.
@@ -129,7 +129,7 @@ pub struct DeclarationTable {
     /// Bounds of loops.
     pub loops: &'static [LoopBound],
     /// Lengths of copies.
-    pub copies: &'static [CopyLength],
+    pub copies: &'static [CopyLengthBound],
     /// Targets of calls.
     pub calls: &'static [CallTargets],
     /// Calls that no turn with a deadline makes.
@@ -137,7 +137,7 @@ pub struct DeclarationTable {
     /// Code that a loop over bytes comes to at the end of a line alone.
     pub lines: &'static [ExcludedCode],
     /// Functions that a turn calls once.
-    pub once: &'static [CalledOnce],
+    pub once: &'static [CalledOnceFunction],
 }
 
 /// Returns the bound of a loop, with its reason.
@@ -151,13 +151,13 @@ pub(crate) const fn loop_bound(
 }
 
 /// Returns the length of a copy, with its reason.
-pub(crate) const fn copy_length(
+pub(crate) const fn copy_length_bound(
     function: &'static str,
     line: &'static str,
     bytes: u32,
     reason: &'static str,
-) -> CopyLength {
-    CopyLength { at: SourceLocation { function, line }, bytes, reason }
+) -> CopyLengthBound {
+    CopyLengthBound { at: SourceLocation { function, line }, bytes, reason }
 }
 
 /// Returns code that is excluded, with its reason.
@@ -192,7 +192,7 @@ pub(crate) const LENGTH_DEPENDENT_FUNCTIONS: [(&str, usize); 16] = [
 
 /// Returns which argument of a function is its length, if its time depends on one.
 #[must_use]
-pub(crate) fn length_argument(function: &str) -> Option<usize> {
+pub(crate) fn length_argument_index(function: &str) -> Option<usize> {
     LENGTH_DEPENDENT_FUNCTIONS
         .iter()
         .find(|(name, _)| function.contains(name))

@@ -3,9 +3,9 @@
 //! A line is named where a function has several loops. `cargo xtask bounds` names declarations that nothing needs.
 
 use crate::declarations::{
-    CalledOnce, CopyLength, DeclarationTable, ExcludedCode,
+    CalledOnceFunction, CopyLengthBound, DeclarationTable, ExcludedCode,
     IterationBound::{Byte, Copied, Length, Mask, Micros, Odd, Terms, Times, Together, Tools},
-    LoopBound, copy_length, excluded_code, loop_bound,
+    LoopBound, copy_length_bound, excluded_code, loop_bound,
 };
 
 /// Microseconds for which the core stands still while a word of the flash is programmed, at the longest (DS8626, flash memory
@@ -15,10 +15,10 @@ pub(crate) const FLASH_PROGRAM_STALL_US: f64 = 100.0;
 const EXCLUSIVE_STORE_REASON: &str = "an exclusive store fails only where an interrupt came in between, and the entry of that one is \
                          priced with a round of this";
 const MAX_TERMS_REASON: &str = "at most 16 terms (`MAX_TERMS`, `core/src/dimensions.rs`)";
-const COPY_REASON: &str = "a word or a byte each, `compiler_builtins`";
+const COPY_LOOP_REASON: &str = "a word or a byte each, `compiler_builtins`";
 const REMAINDER_BYTES_REASON: &str = "the bytes that no whole word has, `compiler_builtins`";
 
-const LOG_SEARCH_REASON: &str =
+const LOG_ON_POWER_OF_TWO_REASON: &str =
     "of n events log₂(n) are in the log: one entry at a time is in every response, as blocking";
 const LOGGED_ONCE_REASON: &str =
     "logged once in the life of a start: one entry at a time is in every response, as blocking";
@@ -29,11 +29,11 @@ pub const LOG_STRING_FUNCTION: &str = "defmt::export::str";
 /// The declarations.
 pub const FIRMWARE_DECLARATIONS: DeclarationTable = DeclarationTable {
     loops: LOOP_BOUNDS,
-    copies: COPY_LENGTHS,
+    copies: COPY_LENGTH_BOUNDS,
     calls: &[],
     excluded: EXCLUDED_CALLS,
     lines: LINE_END_EXCLUSIONS,
-    once: CALLED_ONCE,
+    once: CALLED_ONCE_FUNCTIONS,
 };
 
 const LOOP_BOUNDS: &[LoopBound] = &[
@@ -265,19 +265,29 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     ),
     loop_bound("copy_forward_bytes", "", Odd { argument: 2 }, REMAINDER_BYTES_REASON),
     loop_bound("set_bytes_bytes", "", Odd { argument: 1 }, REMAINDER_BYTES_REASON),
-    loop_bound("copy_forward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
-    loop_bound("copy_forward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
-    loop_bound("copy_backward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
-    loop_bound("copy_backward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound("copy_forward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_LOOP_REASON),
+    loop_bound(
+        "copy_forward_misaligned_words",
+        "",
+        Copied { argument: 2, per: 4 },
+        COPY_LOOP_REASON,
+    ),
+    loop_bound("copy_backward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_LOOP_REASON),
+    loop_bound(
+        "copy_backward_misaligned_words",
+        "",
+        Copied { argument: 2, per: 4 },
+        COPY_LOOP_REASON,
+    ),
     loop_bound(
         "mem::impls::compare_bytes",
         "",
         Length { argument: 2, per: 1, more: 1 },
-        COPY_REASON,
+        COPY_LOOP_REASON,
     ),
-    loop_bound("__aeabi_memcpy4", "", Copied { argument: 2, per: 4 }, COPY_REASON),
-    loop_bound("set_bytes_words", "", Copied { argument: 1, per: 4 }, COPY_REASON),
-    loop_bound("__aeabi_memset4", "", Copied { argument: 1, per: 4 }, COPY_REASON),
+    loop_bound("__aeabi_memcpy4", "", Copied { argument: 2, per: 4 }, COPY_LOOP_REASON),
+    loop_bound("set_bytes_words", "", Copied { argument: 1, per: 4 }, COPY_LOOP_REASON),
+    loop_bound("__aeabi_memset4", "", Copied { argument: 1, per: 4 }, COPY_LOOP_REASON),
     // Waits for the chip.
     loop_bound(
         "serial::SerialOut::write_byte",
@@ -299,52 +309,52 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     ),
 ];
 
-const COPY_LENGTHS: &[CopyLength] = &[
-    copy_length(
+const COPY_LENGTH_BOUNDS: &[CopyLengthBound] = &[
+    copy_length_bound(
         "Port::drain_into",
         "",
         128,
         "a piece of the DMA, `PIECE`, `serial_dma.rs`; one that is polled out is shorter",
     ),
-    copy_length(
+    copy_length_bound(
         "Port::discard_front",
         "",
         240,
         "what waits in the port, `TX_CAPACITY`, without a piece: that of `poll` is 16",
     ),
-    copy_length("Port::queue", "", 22, "the line of a frame, `MAX_FRAME_LINE_LEN`"),
-    copy_length("Frame::new", "", 8, "the bytes of a frame"),
-    copy_length(
+    copy_length_bound("Port::queue", "", 22, "the line of a frame, `MAX_FRAME_LINE_LEN`"),
+    copy_length_bound("Frame::new", "", 8, "the bytes of a frame"),
+    copy_length_bound(
         "write_log::machine_identity_crc",
         "",
         96,
         "the names of a machine and a board, `core/src/names.rs`",
     ),
-    copy_length("upload_segment", "", 7, "a segment of SDO"),
-    copy_length("download_segment", "", 7, "a segment of SDO"),
-    copy_length("load::LoadSlot::append", "", 7, "a segment of SDO"),
-    copy_length("WriteLog::push", "zip(", 24, "`SIZE`, `store/src/write_log.rs`"),
-    copy_length("retained::encode", "", 28, "`LAG_SIZE`, `store/src/retained.rs`"),
-    copy_length("arm::__aeabi_memcpy4", "", 3, "what no whole word has"),
-    copy_length(
+    copy_length_bound("upload_segment", "", 7, "a segment of SDO"),
+    copy_length_bound("download_segment", "", 7, "a segment of SDO"),
+    copy_length_bound("load::LoadSlot::append", "", 7, "a segment of SDO"),
+    copy_length_bound("WriteLog::push", "zip(", 24, "`SIZE`, `store/src/write_log.rs`"),
+    copy_length_bound("retained::encode", "", 28, "`LAG_SIZE`, `store/src/retained.rs`"),
+    copy_length_bound("arm::__aeabi_memcpy4", "", 3, "what no whole word has"),
+    copy_length_bound(
         "OUTLINED_FUNCTION",
         "",
         254,
         "a serial frame without its CRC, `MAX_FRAME_BYTES`, `modbus/src/rtu.rs`",
     ),
-    copy_length(
+    copy_length_bound(
         "server::execute_request",
         "frame.parse",
         254,
         "a serial frame without its CRC, `MAX_FRAME_BYTES`, `modbus/src/rtu.rs`",
     ),
-    copy_length(
+    copy_length_bound(
         "server::execute_request",
         "frame.finalize",
         59,
         "the longest answer without its CRC",
     ),
-    copy_length(
+    copy_length_bound(
         LOG_STRING_FUNCTION,
         "",
         9,
@@ -374,9 +384,9 @@ const EXCLUDED_CALLS: &[ExcludedCode] = &[
         "pivot",
         "a single byte is never split: the cursor is below the size of the buffer (`defmt-rtt`)",
     ),
-    excluded_code("CanOut::count_late_frame", "defmt::warn", LOG_SEARCH_REASON),
-    excluded_code("CanIn::count_overrun", "defmt::warn", LOG_SEARCH_REASON),
-    excluded_code("SerialIn::read_polled", "defmt::warn", LOG_SEARCH_REASON),
+    excluded_code("CanOut::count_late_frame", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
+    excluded_code("CanIn::count_overrun", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
+    excluded_code("SerialIn::read_polled", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
     excluded_code("SerialIn::read_dma", "defmt::error", LOGGED_ONCE_REASON),
     excluded_code("SerialOut::send", "defmt::error", LOGGED_ONCE_REASON),
     excluded_code(
@@ -404,70 +414,70 @@ const LINE_END_EXCLUSIONS: &[ExcludedCode] = &[
     excluded_code("app::listen", "node.receive", "a frame is a line"),
 ];
 
-const CALLED_ONCE: &[CalledOnce] = &[
-    CalledOnce {
+const CALLED_ONCE_FUNCTIONS: &[CalledOnceFunction] = &[
+    CalledOnceFunction {
         function: "Node::receive_control",
         period_us: 10_000.0,
         burst: 0,
         reason: "a CNC sends one `Control` in 10 ms, a PLC one in a block",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "sdo::ObjectAccess for trueup_node::node::Node>::write",
         period_us: 2_000.0,
         burst: 0,
         reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "sdo::ObjectAccess for trueup_node::node::Node>::read",
         period_us: 2_000.0,
         burst: 0,
         reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "serial_dma::TxStream::send",
         period_us: 156.0,
         burst: 2,
         reason: "a piece has what `listen`, `sample` or `service` has queued, or follows a full one: once in 0.24, 1, 2 and 1.38 ms; one \
                  more by each of the first three where they come at once, and together they leave as one",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "Port::discard_front",
         period_us: 1_380.0,
         burst: 0,
         reason: "bytes stay in the port where a piece of 128 is full, which takes 1.38 ms to leave (`PIECE`, `serial_dma.rs`)",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "registers::<impl trueup_node::node::Node>::receive_command",
         period_us: 1_000.0,
         burst: 6,
         reason: "six values of a block, whose 49 bytes and silence take 6.4 ms at 115 200 Bd",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "e2e::has_valid_crc",
         period_us: 2_900.0,
         burst: 2,
         reason: "two CRCs of a block, whose 43 bytes and silence take 5.8 ms at 115 200 Bd",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "server::checksum",
         period_us: 6_000.0,
         burst: 2,
         reason: "two of a frame, by its bytes: the longest of 256 takes 24 ms at 115 200 Bd. Half of that, because a frame of 8 bytes \
                  takes 1.1 ms and what does not grow with it counts as well",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "rmodbus::calc_crc16",
         period_us: 6_000.0,
         burst: 2,
         reason: "as `server::checksum`",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "trueup_store::reference::ReferenceStore<F>::append",
         period_us: 50_000.0,
         burst: 0,
         reason: "`STORE_PERIOD_MS`, `store/src/rate_limit.rs`; without it where a restart follows",
     },
-    CalledOnce {
+    CalledOnceFunction {
         function: "Supervisor::save_retained_state",
         period_us: 1_000_000.0,
         burst: 0,

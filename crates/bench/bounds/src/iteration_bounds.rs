@@ -11,7 +11,7 @@ use crate::{
 
 /// Returns declared rounds as those of a loop of the image; `None`: they depend on an argument that is not known.
 #[must_use]
-pub(crate) fn resolve_bound(
+pub(crate) fn resolve_iteration_bound(
     rounds: IterationBound,
     image: &Image,
     (graph, starts): (&ControlFlowGraph, &[RegisterState]),
@@ -24,7 +24,7 @@ pub(crate) fn resolve_bound(
             let length = arguments[argument]?;
             let bytes = if length < 16 { length } else { 3 };
             IterationBound::Times(
-                bytes.div_ceil(loops::min_stores_per_iteration(graph, one).max(1)),
+                bytes.div_ceil(loops::min_words_stored_per_iteration(graph, one).max(1)),
             )
         }
         // Unrolled, a round moves an address by more.
@@ -33,11 +33,11 @@ pub(crate) fn resolve_bound(
         }
         // Or has more stores: the addresses may be on the stack meanwhile.
         IterationBound::Copied { argument, per } => {
-            let stored = per * loops::min_stores_per_iteration(graph, one);
+            let stored = per * loops::min_words_stored_per_iteration(graph, one);
             IterationBound::Times(arguments[argument]?.div_ceil(per.max(step()).max(stored)))
         }
         IterationBound::Mask(bits) => {
-            IterationBound::Times(bits.div_ceil(loops::min_shift_per_iteration(graph, one)))
+            IterationBound::Times(bits.div_ceil(loops::min_shift_bits_per_iteration(graph, one)))
         }
         other => other,
     })

@@ -21,7 +21,7 @@ pub(crate) trait PathCost: Clone + Default {
     /// Adds a block of that price.
     fn add_block(&mut self, block: usize, is_kept: bool, cycles: u64);
     /// Adds another path behind it, that many times.
-    fn extend(&mut self, other: &Self, times: u64);
+    fn append_path(&mut self, other: &Self, times: u64);
 }
 
 /// The cycles alone.
@@ -38,7 +38,7 @@ impl PathCost for u64 {
         *self += cycles;
     }
 
-    fn extend(&mut self, other: &Self, times: u64) {
+    fn append_path(&mut self, other: &Self, times: u64) {
         *self += other * times;
     }
 }
@@ -65,7 +65,7 @@ impl PathCost for TracedPath {
         *self.visits.entry((block, is_kept)).or_default() += 1;
     }
 
-    fn extend(&mut self, other: &Self, times: u64) {
+    fn append_path(&mut self, other: &Self, times: u64) {
         self.cycles += other.cycles * times;
         if times > 0 {
             for (block, count) in &other.visits {
@@ -93,7 +93,7 @@ pub(crate) trait CycleCosts {
     /// Returns the cycles in which the cache takes all instructions of a loop, with what it calls; `None`: they are too many.
     fn cache_fill_cycles(&self, one: &Loop) -> Option<u64>;
     /// Returns how often a loop goes round until it comes to its last round.
-    fn iterations(&self, one: &Loop) -> LoopIterations;
+    fn loop_iterations(&self, one: &Loop) -> LoopIterations;
     /// Returns the headers of the loops within a loop whose rounds are among its own.
     fn merged_loops(&self, one: &Loop) -> BTreeSet<usize>;
 }
@@ -105,7 +105,7 @@ pub(crate) fn longest_paths<W: PathCost>(
     within: &BTreeSet<usize>,
     entry: usize,
 ) -> BTreeMap<usize, W> {
-    walk_graph(graph, prices, within, entry, false, false)
+    compute_longest_paths(graph, prices, within, entry, false, false)
 }
 
 /// Returns the longest of some ways.
@@ -114,7 +114,7 @@ pub(crate) fn max_by_cycles<W: PathCost>(ways: impl Iterator<Item = W>) -> Optio
 }
 
 /// As [`longest_paths`]; `is_round`: the ways back to `entry` are another round.
-fn walk_graph<W: PathCost>(
+fn compute_longest_paths<W: PathCost>(
     graph: &ControlFlowGraph,
     prices: &impl CycleCosts,
     within: &BTreeSet<usize>,
@@ -164,19 +164,20 @@ fn walk_graph<W: PathCost>(
                     edges.map(|edge| prices.edge_cycles(*block, edge, is_kept)).max().unwrap_or(0),
                 );
             }
-            let LoopIterations { times, wait } = prices.iterations(&one);
+            let LoopIterations { times, wait } = prices.loop_iterations(&one);
             let mut way = before.unwrap_or_default();
-            way.extend(&all, times + 1);
+            way.append_path(&all, times + 1);
             way.add_cycles(wait);
             known.extend(part.iter().map(|block| (*block, way.clone())));
             continue;
         }
         let before = arrives(one.header);
-        let mut ways: BTreeMap<usize, W> = paths_around_loop(graph, prices, &one, is_kept);
+        let mut ways: BTreeMap<usize, W> = longest_paths_through_loop(graph, prices, &one, is_kept);
         // Either bounds the loop: with a cache that it fits, or without.
         if let Some(fill) = prices.cache_fill_cycles(&one).filter(|_| !is_kept) {
             let longest = |ways: &BTreeMap<usize, W>| ways.values().map(PathCost::cycles).max();
-            let mut kept: BTreeMap<usize, W> = paths_around_loop(graph, prices, &one, true);
+            let mut kept: BTreeMap<usize, W> =
+                longest_paths_through_loop(graph, prices, &one, true);
             kept.values_mut().for_each(|way| way.add_cycles(fill));
             if longest(&kept) < longest(&ways) {
                 ways = kept;
@@ -184,7 +185,7 @@ fn walk_graph<W: PathCost>(
         }
         known.extend(ways.into_iter().map(|(block, way)| {
             let mut whole = before.clone();
-            whole.extend(&way, 1);
+            whole.append_path(&way, 1);
             (block, whole)
         }));
     }
@@ -192,14 +193,14 @@ fn walk_graph<W: PathCost>(
 }
 
 /// The longest ways from where a loop is entered to the end of each of its blocks, all rounds included.
-fn paths_around_loop<W: PathCost>(
+fn longest_paths_through_loop<W: PathCost>(
     graph: &ControlFlowGraph,
     prices: &impl CycleCosts,
     one: &Loop,
     is_kept: bool,
 ) -> BTreeMap<usize, W> {
     let inner: BTreeMap<usize, W> =
-        walk_graph(graph, prices, &one.blocks, one.header, true, is_kept);
+        compute_longest_paths(graph, prices, &one.blocks, one.header, true, is_kept);
     // A round that begins at a header within is a part of one that begins at this one.
     let mut headers = prices.merged_loops(one);
     headers.insert(one.header);
@@ -211,13 +212,13 @@ fn paths_around_loop<W: PathCost>(
         Some(back)
     });
     let round = max_by_cycles(backs).unwrap_or_default();
-    let LoopIterations { times, wait } = prices.iterations(one);
+    let LoopIterations { times, wait } = prices.loop_iterations(one);
     let mut rounds = W::default();
-    rounds.extend(&round, times);
+    rounds.append_path(&round, times);
     rounds.add_cycles(wait);
     let whole = |way: W| {
         let mut whole = rounds.clone();
-        whole.extend(&way, 1);
+        whole.append_path(&way, 1);
         whole
     };
     inner.into_iter().map(|(block, way)| (block, whole(way))).collect()

@@ -166,7 +166,7 @@ pub(crate) fn strongly_connected_components(
 
 /// Returns how often the loop goes back to its header at the most, if the code says it.
 #[must_use]
-pub(crate) fn derive_bound(
+pub(crate) fn derive_iteration_bound(
     image: &Image,
     graph: &ControlFlowGraph,
     starts: &[RegisterState],
@@ -252,9 +252,9 @@ impl ConditionalBranch {
         for one in &block_of.instructions {
             state.step(image, one);
         }
-        match *block_of.last() {
+        match *block_of.last_instruction() {
             Instruction { flow: ControlFlow::Jump(_), condition: Some(condition), .. } => {
-                let flags = state.flags().filter(|flags| flags.can_evaluate(condition))?;
+                let flags = state.flag_operands().filter(|flags| flags.can_evaluate(condition))?;
                 Some(Self { flags, condition })
             }
             Instruction { flow: ControlFlow::Zero { register, if_zero, .. }, .. } => Some(Self {
@@ -363,7 +363,7 @@ pub(crate) fn is_post_tested(graph: &ControlFlowGraph, one: &Loop) -> bool {
 
 /// Returns how many words each round stores at the least, but for those on the stack.
 #[must_use]
-pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
+pub(crate) fn min_words_stored_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
     let stores = |block: usize| {
         let stored = graph.blocks[block].instructions.iter().filter_map(|instruction| {
             let access = instruction
@@ -395,7 +395,7 @@ pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> 
 
 /// Returns the fewest bits by which every round moves a register down; 1: none.
 #[must_use]
-pub(crate) fn min_shift_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
+pub(crate) fn min_shift_bits_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
     let passed = one.blocks.iter().filter(|block| is_on_every_iteration(graph, one, **block));
     let instructions = passed.flat_map(|block| &graph.blocks[*block].instructions);
     let shifts = instructions.filter_map(|instruction| match instruction.effect {

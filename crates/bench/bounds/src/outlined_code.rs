@@ -43,7 +43,7 @@ pub(crate) fn inline_outlined(
         block.call = None;
         let behind = std::mem::take(&mut block.next);
         let is_tail = std::mem::take(&mut block.returns);
-        let is_conditional = block.last().condition.is_some();
+        let is_conditional = block.last_instruction().condition.is_some();
         block.next = vec![Edge { to: base, is_taken: true }];
         // One that is not always called is passed by as well.
         if is_conditional {

@@ -8,7 +8,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 
 use crate::{
-    clock::Clock,
+    clock::ClockConfiguration,
     declarations::{self, CalibrationSizes, DeclarationTable},
     entry::FunctionEntry,
     image::Image,
@@ -29,7 +29,7 @@ struct PathShare {
 }
 
 /// Returns the longest path of a task on a clock as a table, sorted by the cycles of the functions themselves. Functions that
-/// are counted apart (`CalledOnce`) are named with the cycles of one call.
+/// are counted apart (`CalledOnceFunction`) are named with the cycles of one call.
 ///
 /// # Errors
 /// The app's table cannot be read, or it has no such task.
@@ -39,7 +39,7 @@ pub fn longest_path_of_task(
     table: &DeclarationTable,
     source: &SourceCode,
     sizes: CalibrationSizes,
-    clock: Clock,
+    clock: ClockConfiguration,
     task: &str,
 ) -> Result<String> {
     let program = Program::new(image, table, source, sizes);
@@ -61,13 +61,13 @@ pub fn longest_path_of_task(
     let worst = WcetAnalysis::new(&program, clock, waiting).with_zero_cost_functions(free.clone());
     let us = |cycles: u64| cycles as f64 / f64::from(clock.mhz);
     let mut text = format!("{task}, {}: {:.1} µs\n", clock.name, us(cycles));
-    write_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
+    write_path_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
     if waiting.is_some() {
         let within = program.for_bytes_within_line();
         let worst = WcetAnalysis::new(&within, clock, waiting).with_zero_cost_functions(free);
         writeln!(text, "\nwhere no byte ends a line: {:.1} µs", us(worst.function_cycles(entry)))
             .ok();
-        write_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
+        write_path_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
     }
     for (start, (one, cost)) in once {
         writeln!(text, "\napart: {}, {:.1} µs each", function_name(image, start), us(cost)).ok();
@@ -77,7 +77,7 @@ pub fn longest_path_of_task(
             .filter(|address| *address != start)
             .collect();
         let worst = WcetAnalysis::new(&program, clock, waiting).with_zero_cost_functions(others);
-        write_shares(&mut text, image, &profile_longest_path(&worst, one), us);
+        write_path_shares(&mut text, image, &profile_longest_path(&worst, one), us);
     }
     let problems = program.problems();
     ensure!(problems.is_empty(), "{}", problems.join("\n"));
@@ -91,7 +91,8 @@ fn function_name(image: &Image, start: u32) -> &str {
 /// The name of a function, and the length that it is called with.
 fn entry_name(image: &Image, entry: FunctionEntry) -> String {
     let name = function_name(image, entry.start);
-    let length = declarations::length_argument(name).and_then(|number| entry.arguments[number]);
+    let length =
+        declarations::length_argument_index(name).and_then(|number| entry.arguments[number]);
     length.map_or_else(|| name.to_owned(), |length| format!("{name} ({length})"))
 }
 
@@ -122,7 +123,7 @@ fn profile_longest_path(
     shares
 }
 
-fn write_shares(
+fn write_path_shares(
     text: &mut String,
     image: &Image,
     shares: &BTreeMap<FunctionEntry, PathShare>,

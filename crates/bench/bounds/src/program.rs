@@ -9,9 +9,10 @@ use std::{
 
 use crate::{
     control_flow::{self, Call, ControlFlowGraph, returning_blocks},
-    declaration_lookup::Declarations,
+    declaration_lookup::DeclarationLookup,
     declarations::{
-        self, CalibrationSizes, CalledOnce, DeclarationTable, IterationBound, SourceLocation,
+        self, CalibrationSizes, CalledOnceFunction, DeclarationTable, IterationBound,
+        SourceLocation,
     },
     entry::{FunctionEntry, KnownArguments},
     image::Image,
@@ -26,7 +27,7 @@ use crate::{
 pub struct Program<'a> {
     /// The image.
     pub image: &'a Image,
-    declared: Declarations<'a>,
+    declared: DeclarationLookup<'a>,
     sizes: CalibrationSizes,
     /// No line ends.
     is_within_line: bool,
@@ -51,7 +52,7 @@ impl<'a> Program<'a> {
     ) -> Self {
         Self {
             image,
-            declared: Declarations::new(image, table, source),
+            declared: DeclarationLookup::new(image, table, source),
             sizes,
             is_within_line: false,
             ram: RefCell::default(),
@@ -91,7 +92,8 @@ impl<'a> Program<'a> {
             let (mut seen, mut open) = (BTreeSet::new(), entries.to_vec());
             let mut changed = false;
             while let Some(entry) = open.pop() {
-                let Some(prepared) = seen.insert(entry).then(|| self.prepare(entry)).flatten()
+                let Some(prepared) =
+                    seen.insert(entry).then(|| self.prepare_function(entry)).flatten()
                 else {
                     continue;
                 };
@@ -118,7 +120,7 @@ impl<'a> Program<'a> {
 
     /// Returns the functions that a turn calls once, and the microseconds between two calls.
     #[must_use]
-    pub(crate) fn called_once_functions(&self) -> BTreeMap<u32, CalledOnce> {
+    pub(crate) fn called_once_functions(&self) -> BTreeMap<u32, CalledOnceFunction> {
         let declared = |name: &str| {
             let mut once = self.declared.table.once.iter();
             once.find(|declaration| name.contains(declaration.function)).copied()
@@ -141,7 +143,7 @@ impl<'a> Program<'a> {
 
     /// Returns how many loops the code bounds, and how many the table.
     #[must_use]
-    pub(crate) fn bound_counts_by_origin(&self) -> [usize; 2] {
+    pub(crate) fn loop_counts_by_bound_origin(&self) -> [usize; 2] {
         let mut counts = BTreeMap::new();
         for (entry, prepared) in self.prepared.borrow().iter() {
             for bounded in prepared
@@ -222,16 +224,16 @@ impl<'a> Program<'a> {
     }
 
     /// Returns a function that is ready to be priced; `None`, with a complaint: it cannot be read.
-    pub(crate) fn prepare(&self, entry: FunctionEntry) -> Option<Rc<PreparedFunction>> {
+    pub(crate) fn prepare_function(&self, entry: FunctionEntry) -> Option<Rc<PreparedFunction>> {
         if let Some(known) = self.prepared.borrow().get(&entry) {
             return known.clone();
         }
-        let prepared = self.prepare_uncached(entry);
+        let prepared = self.prepare_function_uncached(entry);
         self.prepared.borrow_mut().insert(entry, prepared.clone());
         prepared
     }
 
-    fn prepare_uncached(&self, entry: FunctionEntry) -> Option<Rc<PreparedFunction>> {
+    fn prepare_function_uncached(&self, entry: FunctionEntry) -> Option<Rc<PreparedFunction>> {
         let graph = match &*self.read_graph(entry.start) {
             Ok(graph) => graph.clone(),
             Err(error) => {
@@ -257,7 +259,7 @@ impl<'a> Program<'a> {
         }
         let graph = control_flow::subgraph(graph.name, blocks, &is_kept);
         let ram = self.ram.borrow().get(&entry.start).copied().unwrap_or_default() | entry.ram;
-        let mut graph = self.without_excluded(graph)?;
+        let mut graph = self.without_excluded_blocks(graph)?;
         let mut starts =
             register_values::block_entry_states(self.image, &graph, entry.arguments, ram);
         // A branch by two numbers has one way.
@@ -277,7 +279,7 @@ impl<'a> Program<'a> {
     }
 
     /// Leaves out the blocks that the table excludes, and those that lead nowhere else.
-    fn without_excluded(&self, graph: ControlFlowGraph) -> Option<ControlFlowGraph> {
+    fn without_excluded_blocks(&self, graph: ControlFlowGraph) -> Option<ControlFlowGraph> {
         let out: Vec<bool> = graph
             .blocks
             .iter()
@@ -310,23 +312,23 @@ impl<'a> Program<'a> {
         arguments: KnownArguments,
         one: Loop,
     ) -> BoundedLoop {
-        let derived =
-            loops::derive_bound(self.image, graph, starts, &one).map(IterationBound::Times);
+        let derived = loops::derive_iteration_bound(self.image, graph, starts, &one)
+            .map(IterationBound::Times);
         let header = graph.blocks[one.header].start_address();
         let last = one
             .blocks
             .iter()
             .filter(|block| graph.blocks[**block].next.iter().any(|edge| edge.to == one.header));
-        let ends = last.map(|block| graph.blocks[*block].last().at);
+        let ends = last.map(|block| graph.blocks[*block].last_instruction().at);
         let addresses: Vec<u32> = ends.chain([header]).collect();
         let declared = addresses.iter().find_map(|at| {
             let spots: Vec<SourceLocation> =
                 self.declared.table.loops.iter().map(|declaration| declaration.at).collect();
-            let number = self.declared.find_declaration("loop", &spots, *at, &graph.name)?;
+            let number = self.declared.find_declaration_index("loop", &spots, *at, &graph.name)?;
             Some(self.declared.table.loops[number].rounds)
         });
         let declared = declared.map(|rounds| {
-            let known = iteration_bounds::resolve_bound(
+            let known = iteration_bounds::resolve_iteration_bound(
                 rounds,
                 self.image,
                 (graph, starts),
@@ -393,14 +395,14 @@ impl<'a> Program<'a> {
         for one in &block.instructions {
             state.step(self.image, one);
         }
-        let at = block.last().at;
+        let at = block.last_instruction().at;
         let targets: Vec<u32> = match call {
             Call::To(all) => all.iter().copied().collect(),
             Call::Register(register) => {
                 let known = state.register_value(*register).as_constant().map(|at| at & !1);
                 match known.and_then(|at| self.image.function_at(at)) {
                     Some(function) => vec![function.start],
-                    None => self.declared_targets(graph, at),
+                    None => self.declared_call_targets(graph, at),
                 }
             }
         };
@@ -408,9 +410,10 @@ impl<'a> Program<'a> {
         back.flat_map(|start| {
             let arguments = self.call_arguments(graph, &state, start, at);
             // One that is copied in many places reads the flash in some of them, and the RAM in others.
-            let is_by_length = declarations::length_argument(self.function_name(start)).is_some();
+            let is_by_length =
+                declarations::length_argument_index(self.function_name(start)).is_some();
             let ram = if is_by_length { state.ram_pointer_mask() } else { 0 };
-            self.alignment_cases(start, arguments).map(move |arguments| FunctionEntry {
+            self.copy_alignment_cases(start, arguments).map(move |arguments| FunctionEntry {
                 start,
                 arguments,
                 ram,
@@ -419,10 +422,11 @@ impl<'a> Program<'a> {
         .collect()
     }
 
-    fn declared_targets(&self, graph: &ControlFlowGraph, at: u32) -> Vec<u32> {
+    fn declared_call_targets(&self, graph: &ControlFlowGraph, at: u32) -> Vec<u32> {
         let spots: Vec<SourceLocation> =
             self.declared.table.calls.iter().map(|declaration| declaration.at).collect();
-        let Some(number) = self.declared.find_declaration("call", &spots, at, &graph.name) else {
+        let Some(number) = self.declared.find_declaration_index("call", &spots, at, &graph.name)
+        else {
             self.report_problem(format!(
                 "call by register in {}, at {at:#x}: {}",
                 graph.name,
@@ -441,22 +445,23 @@ impl<'a> Program<'a> {
 
     /// Of a copy from and to whole words the addresses change nothing but the direction: two are tried for all, both read
     /// from the flash.
-    fn alignment_cases(
+    fn copy_alignment_cases(
         &self,
         start: u32,
         arguments: KnownArguments,
     ) -> impl Iterator<Item = KnownArguments> + use<> {
-        const FLASH_SOURCE_ADDRESS: u32 = 0x0800_1000;
+        const ASSUMED_COPY_SOURCE_ADDRESS: u32 = 0x0800_1000;
         let name = self.function_name(start);
         let is_aligned =
             ["cpy4", "cpy8", "move4", "move8"].iter().any(|suffix| name.ends_with(suffix));
-        let tried = [FLASH_SOURCE_ADDRESS + 0x8000, FLASH_SOURCE_ADDRESS + 4].map(|to| {
-            if is_aligned {
-                [Some(to), Some(FLASH_SOURCE_ADDRESS), arguments[2], None]
-            } else {
-                arguments
-            }
-        });
+        let tried =
+            [ASSUMED_COPY_SOURCE_ADDRESS + 0x8000, ASSUMED_COPY_SOURCE_ADDRESS + 4].map(|to| {
+                if is_aligned {
+                    [Some(to), Some(ASSUMED_COPY_SOURCE_ADDRESS), arguments[2], None]
+                } else {
+                    arguments
+                }
+            });
         tried.into_iter().take(if is_aligned { 2 } else { 1 })
     }
 
@@ -467,7 +472,7 @@ impl<'a> Program<'a> {
         start: u32,
         at: u32,
     ) -> KnownArguments {
-        let Some(length) = declarations::length_argument(self.function_name(start)) else {
+        let Some(length) = declarations::length_argument_index(self.function_name(start)) else {
             return [None; 4];
         };
         let mut arguments: KnownArguments =
@@ -475,7 +480,7 @@ impl<'a> Program<'a> {
         if arguments[length].is_none() {
             let spots: Vec<SourceLocation> =
                 self.declared.table.copies.iter().map(|declaration| declaration.at).collect();
-            match self.declared.find_declaration("copy", &spots, at, &graph.name) {
+            match self.declared.find_declaration_index("copy", &spots, at, &graph.name) {
                 Some(number) => arguments[length] = Some(self.declared.table.copies[number].bytes),
                 None => self.report_problem(format!(
                     "copy of an unknown length in {}, at {at:#x}: {}",

@@ -137,7 +137,7 @@ impl RegisterState {
 
     /// Returns what the flags stand for, where that is known.
     #[must_use]
-    pub fn flags(&self) -> Option<FlagOperands> {
+    pub fn flag_operands(&self) -> Option<FlagOperands> {
         self.flags
     }
 
@@ -150,12 +150,12 @@ impl RegisterState {
             .and_then(|(flags, condition)| flags.evaluate_condition(condition));
         match condition_holds.filter(|_| is_in_block) {
             Some(false) => {}
-            Some(true) => self.execute(image, &Instruction { condition: None, ..*one }),
-            None => self.execute(image, one),
+            Some(true) => self.execute_instruction(image, &Instruction { condition: None, ..*one }),
+            None => self.execute_instruction(image, one),
         }
     }
 
-    fn execute(&mut self, image: &Image, one: &Instruction) {
+    fn execute_instruction(&mut self, image: &Image, one: &Instruction) {
         let before = *self;
         if one.writes != 0 {
             // A value of the same name from an earlier pass is another one.
@@ -172,7 +172,7 @@ impl RegisterState {
             self.values[usize::from(register)] =
                 SymbolicValue { base: SymbolicBase::Left(one.at, register), offset: 0 };
         }
-        let ram = before.ram_pointers_after(image, one);
+        let ram = before.ram_pointer_mask_after(image, one);
         self.ram =
             self.ram & !one.writes | if one.condition.is_some() { ram & before.ram } else { ram };
         if let (Some((to, value)), None) = (before.compute_result(image, one), one.condition)
@@ -187,7 +187,7 @@ impl RegisterState {
         {
             self.values[usize::from(to)] = value;
         }
-        self.flags = before.flags_after(one, self);
+        self.flags = before.flag_operands_after(one, self);
         // A value of the same name from an earlier pass is another one.
         if one.writes != 0 && one.flags == FlagEffect::Keep {
             self.flags = self.flags.filter(|flags| {
@@ -199,7 +199,7 @@ impl RegisterState {
     }
 
     /// What the flags stand for behind an instruction; `self`: before it, `after`: the values behind it.
-    fn flags_after(&self, one: &Instruction, after: &Self) -> Option<FlagOperands> {
+    fn flag_operands_after(&self, one: &Instruction, after: &Self) -> Option<FlagOperands> {
         let of = |operand| match operand {
             Operand::Number(number) => SymbolicValue::constant(number),
             Operand::Register(register) => self.register_value(register),
@@ -225,7 +225,7 @@ impl RegisterState {
     }
 
     /// The registers that an instruction writes and that then point into the RAM. A sum with an index stays there.
-    fn ram_pointers_after(&self, image: &Image, one: &Instruction) -> u16 {
+    fn ram_pointer_mask_after(&self, image: &Image, one: &Instruction) -> u16 {
         let (to, is_ram) = match one.effect {
             RegisterEffect::Copy(to, from) | RegisterEffect::Add(to, from, _) => {
                 (to, self.is_ram_pointer(from))
@@ -392,7 +392,7 @@ pub(crate) fn execute_block(
         state.step(image, one);
     }
     if block.call.is_some() {
-        state.step(image, &Instruction::call_clobbers(block.last().at));
+        state.step(image, &Instruction::call_clobbers(block.last_instruction().at));
     }
 }
 

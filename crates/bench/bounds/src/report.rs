@@ -8,8 +8,8 @@ use std::{
 use anyhow::{Context as _, Result};
 
 use crate::{
-    clock::{CLOCKS, Clock},
-    critical_sections::{CriticalSection, CriticalSections},
+    clock::{CLOCK_CONFIGURATIONS, ClockConfiguration},
+    critical_sections::{CriticalSection, CriticalSectionAnalysis},
     declarations::{CalibrationSizes, DeclarationTable},
     entry::FunctionEntry,
     firmware::FLASH_PROGRAM_STALL_US,
@@ -23,7 +23,7 @@ use crate::{
 
 /// The bounds of a task on a clock, in microseconds.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TaskBound {
+pub struct TaskBounds {
     /// Its name.
     pub task: String,
     /// The clock's name.
@@ -51,7 +51,7 @@ pub struct TaskBound {
 #[derive(Clone, Debug, Default)]
 pub struct TimingBounds {
     /// A bound of each task on each clock.
-    pub all: Vec<TaskBound>,
+    pub all: Vec<TaskBounds>,
     /// Loops without a bound and calls without a target: with one of them nothing is bounded.
     pub problems: Vec<String>,
     /// Declarations that nothing needed.
@@ -77,7 +77,7 @@ pub fn compute(
     let entries = functions.map(|function| FunctionEntry::new(function.start));
     program.find_ram_arguments(&entries.collect::<Vec<_>>());
     let mut all = Vec::new();
-    for clock in CLOCKS {
+    for clock in CLOCK_CONFIGURATIONS {
         let tasks: Vec<Task> =
             all_tasks.iter().filter(|task| task.is_active_at(clock.mhz)).cloned().collect();
         let exceptions = exception_numbers(image, &tasks)?;
@@ -87,7 +87,7 @@ pub fn compute(
             let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
             let us = |cycles: u64| cycles as f64 / f64::from(clock.mhz);
             let longest = |loads: &[TaskLoad]| {
-                response_time::worst_case_response(
+                response_time::worst_case_response_cycles(
                     loads,
                     number,
                     CoreOverhead::for_clock(&clock),
@@ -97,7 +97,7 @@ pub fn compute(
             };
             let mut stalled = loads.clone();
             stalled[number].blocking = stalled[number].blocking.max(cycles(FLASH_PROGRAM_STALL_US));
-            TaskBound {
+            TaskBounds {
                 task: task.name.clone(),
                 clock: clock.name,
                 exception: exceptions[number],
@@ -111,7 +111,7 @@ pub fn compute(
             }
         }));
     }
-    let loops = program.bound_counts_by_origin();
+    let loops = program.loop_counts_by_bound_origin();
     Ok(TimingBounds {
         all,
         problems: program.problems(),
@@ -136,7 +136,7 @@ fn task_loads(
     program: &Program<'_>,
     image: &Image,
     tasks: &[Task],
-    clock: Clock,
+    clock: ClockConfiguration,
 ) -> Result<(Vec<TaskLoad>, Vec<u64>)> {
     let for_bytes_within_line = program.for_bytes_within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
@@ -195,7 +195,7 @@ fn task_loads(
                 let known = sections.entry((*entry, free.clone())).or_insert_with(|| {
                     let worst = WcetAnalysis::new(program, clock, *waiting)
                         .with_zero_cost_functions(free.clone());
-                    CriticalSections::new(program, &worst).sections_below(*entry)
+                    CriticalSectionAnalysis::new(program, &worst).sections_in_call_tree(*entry)
                 });
                 known.clone()
             });
@@ -236,11 +236,11 @@ impl TimingBounds {
     /// Returns the table; `seen` gives the longest turn of a task on a clock that was seen, of its own and from beginning to
     /// end, in microseconds.
     #[must_use]
-    pub fn format_table(&self, seen: impl Fn(&TaskBound) -> Option<[f64; 2]>) -> String {
+    pub fn format_table(&self, seen: impl Fn(&TaskBounds) -> Option<[f64; 2]>) -> String {
         let mut text = String::new();
         let [code, table] = self.loops;
         writeln!(text, "{code} loops are bounded by the code, {table} by the table").ok();
-        for clock in CLOCKS {
+        for clock in CLOCK_CONFIGURATIONS {
             writeln!(text, "\n{}, {} wait states; in µs", clock.name, clock.flash).ok();
             writeln!(
                 text,

@@ -13,7 +13,7 @@
 //! interrupt software raises may have one start more in a window, for it is raised late. Where R is longer than the
 //! period, a start waits for the turn before, and its C counts twice: interrupts that are pending do not add up.
 
-use crate::clock::{CACHE_LINES, Clock};
+use crate::clock::{ClockConfiguration, FLASH_CACHE_LINES};
 
 /// What the core spends beyond the tasks' own instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,9 +33,9 @@ impl CoreOverhead {
     /// the interrupted task may have lost. The DMA moves 20 codes and 92 bytes
     /// each way in a millisecond, five cycles each.
     #[must_use]
-    pub(crate) fn for_clock(clock: &Clock) -> Self {
+    pub(crate) fn for_clock(clock: &ClockConfiguration) -> Self {
         let lines = 3 * u64::from(clock.flash);
-        let refill = CACHE_LINES as u64 * u64::from(clock.flash);
+        let refill = FLASH_CACHE_LINES as u64 * u64::from(clock.flash);
         let moved = (20 + 2 * 92) * 5;
         Self {
             switch: 12 + 12 + 2 * 18 + 3 + 20 + lines + refill,
@@ -92,7 +92,7 @@ impl TaskLoad {
     }
 
     /// Cycles that it may take within a window.
-    fn demand(&self, window: u64, switch: u64) -> u64 {
+    fn demand_cycles(&self, window: u64, switch: u64) -> u64 {
         let starts = window.div_ceil(self.period) + self.burst;
         let bytes = window.checked_div(self.gap).map_or(0, |bytes| bytes + 1 + self.waiting);
         let bytes = bytes.min(starts * self.waiting);
@@ -111,7 +111,7 @@ pub(crate) fn utilisation(tasks: &[TaskLoad], number: usize, core: CoreOverhead)
 
 /// Returns the longest response of a task in cycles; `None`: it is longer than `limit`.
 #[must_use]
-pub(crate) fn worst_case_response(
+pub(crate) fn worst_case_response_cycles(
     tasks: &[TaskLoad],
     number: usize,
     core: CoreOverhead,
@@ -125,7 +125,7 @@ pub(crate) fn worst_case_response(
             .iter()
             .enumerate()
             .filter(|(other, task)| *other != number && task.priority >= own.priority);
-        let above: u64 = others.map(|(_, task)| task.demand(response, switch)).sum();
+        let above: u64 = others.map(|(_, task)| task.demand_cycles(response, switch)).sum();
         // Bytes that come meanwhile are taken in the same turn.
         let came = response.checked_div(own.gap).map_or(0, |bytes| bytes + 1);
         let turn = own.empty + own.byte_cycles(own.waiting + came) + switch;
@@ -167,14 +167,19 @@ mod tests {
     fn the_lowest_of_three_waits_for_all_starts_above() {
         // 3 of 7, 3 of 12, 5 of 20: the set of Burns and Wellings, whose responses are 3, 6 and 20.
         let tasks = [task(3, 7, 3, 0), task(2, 12, 3, 0), task(1, 20, 5, 0)];
-        let of = |number, limit| worst_case_response(&tasks, number, IDEAL, limit);
+        let of = |number, limit| worst_case_response_cycles(&tasks, number, IDEAL, limit);
         assert_eq!([of(0, 7), of(1, 12), of(2, 20)], [Some(3), Some(6), Some(20)]);
         assert_eq!(of(2, 19), None);
         // A section of a lower task, the DMA, and each switch come on top.
         let held = [task(3, 7_000, 3_000, 500), task(2, 12_000, 3_000, 0)];
-        assert_eq!(worst_case_response(&held, 0, IDEAL, 7_000), Some(3_500));
+        assert_eq!(worst_case_response_cycles(&held, 0, IDEAL, 7_000), Some(3_500));
         assert_eq!(
-            worst_case_response(&held, 1, CoreOverhead { switch: 10, dma_per_mille: 100 }, 9_000),
+            worst_case_response_cycles(
+                &held,
+                1,
+                CoreOverhead { switch: 10, dma_per_mille: 100 },
+                9_000
+            ),
             Some(6_622)
         );
     }
@@ -183,19 +188,19 @@ mod tests {
     fn bytes_count_once_however_often_their_task_starts() {
         let line = TaskLoad { gap: 100, waiting: 4, each: 10, ..task(2, 50, 1, 0) };
         // 200 cycles: four starts, and 4 bytes that waited with three that came.
-        assert_eq!(line.demand(200, 0), 4 + 7 * 10);
+        assert_eq!(line.demand_cycles(200, 0), 4 + 7 * 10);
         assert_eq!(line.worst_case_cycles(), 41);
         // A start in 50 cycles, a byte in 100; where no more than the bytes of a start can wait, these.
         assert_eq!(line.utilisation(IDEAL), 1.0 / 50.0 + 10.0 / 100.0);
         // A line of three ends once in three bytes, and may end with the first of them: seven bytes have three ends.
         let lines = TaskLoad { line_end: 7, line: 3, ..line.clone() };
         assert_eq!(
-            (lines.demand(200, 0), lines.worst_case_cycles()),
+            (lines.demand_cycles(200, 0), lines.worst_case_cycles()),
             (4 + 7 * 10 + 3 * 7, 41 + 2 * 7)
         );
         assert!((lines.utilisation(IDEAL) - (0.02 + (10.0 + 7.0 / 3.0) / 100.0)).abs() < 1e-12);
         // A start that may come at once with another one.
-        assert_eq!(TaskLoad { burst: 1, ..lines }.demand(200, 0), 5 + 7 * 10 + 3 * 7);
+        assert_eq!(TaskLoad { burst: 1, ..lines }.demand_cycles(200, 0), 5 + 7 * 10 + 3 * 7);
         let seldom = TaskLoad { period: 1_000, ..line.clone() };
         assert_eq!(seldom.utilisation(IDEAL), 1.0 / 1_000.0 + 4.0 * 10.0 / 1_000.0);
         // Those below do not count.

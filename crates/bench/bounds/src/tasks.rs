@@ -66,7 +66,7 @@ impl Task {
 /// # Errors
 /// A task has no row in the table, a row no deadline, or attribute and row differ in priority.
 pub(crate) fn parse_tasks(text: &str) -> Result<Vec<Task>> {
-    let rows = parse_rows(text)?;
+    let rows = parse_task_rows(text)?;
     let mut tasks = Vec::new();
     let mut rest = text;
     while let Some((_, after)) = rest.split_once("#[task(") {
@@ -113,7 +113,7 @@ struct TaskRow {
     arrives: String,
 }
 
-fn parse_rows(text: &str) -> Result<BTreeMap<String, TaskRow>> {
+fn parse_task_rows(text: &str) -> Result<BTreeMap<String, TaskRow>> {
     let lines = text.lines().filter_map(|line| line.strip_prefix("//! |"));
     let mut cells = lines.map(|line| {
         let line = line.trim_end().strip_suffix('|').unwrap_or(line);

@@ -7,7 +7,7 @@ use std::{
 };
 
 use crate::{
-    clock::{CACHE_LINES, Clock, FLASH_LINE_BYTES},
+    clock::{ClockConfiguration, FLASH_CACHE_LINES, FLASH_LINE_BYTES},
     control_flow::Edge,
     declarations::IterationBound,
     decode::AddressingMode,
@@ -21,7 +21,7 @@ use crate::{
 /// Prices on one clock.
 pub struct WcetAnalysis<'a> {
     program: &'a Program<'a>,
-    clock: Clock,
+    clock: ClockConfiguration,
     waiting: Option<u32>,
     known: RefCell<BTreeMap<(FunctionEntry, bool), u64>>,
     /// The lines of the flash of a function and all that it calls; `None`: more than the cache holds.
@@ -36,7 +36,7 @@ pub struct WcetAnalysis<'a> {
 impl<'a> WcetAnalysis<'a> {
     /// Returns the prices on a clock, with this many bytes waiting for loops that have a round for each.
     #[must_use]
-    pub fn new(program: &'a Program<'a>, clock: Clock, waiting: Option<u32>) -> Self {
+    pub fn new(program: &'a Program<'a>, clock: ClockConfiguration, waiting: Option<u32>) -> Self {
         let (known, above) = (RefCell::default(), RefCell::default());
         Self {
             program,
@@ -61,7 +61,7 @@ impl<'a> WcetAnalysis<'a> {
     #[must_use]
     pub(crate) fn task_wcet(
         program: &'a Program<'a>,
-        clock: Clock,
+        clock: ClockConfiguration,
         waiting: Option<u32>,
         entry: FunctionEntry,
     ) -> (u64, BTreeMap<u32, (FunctionEntry, u64)>) {
@@ -86,11 +86,11 @@ impl<'a> WcetAnalysis<'a> {
     /// Returns the cycles of a function from its first instruction to its return. Where it cannot be priced it is
     /// 0, and the program has the complaint.
     pub fn function_cycles(&self, entry: FunctionEntry) -> u64 {
-        self.compute_cycles(entry, false)
+        self.compute_function_cycles(entry, false)
     }
 
     /// As [`Self::of`]; `is_kept`: the cache of the flash has its instructions.
-    fn compute_cycles(&self, entry: FunctionEntry, is_kept: bool) -> u64 {
+    fn compute_function_cycles(&self, entry: FunctionEntry, is_kept: bool) -> u64 {
         if let Some(known) = self.known.borrow().get(&(entry, is_kept)) {
             return *known;
         }
@@ -98,7 +98,7 @@ impl<'a> WcetAnalysis<'a> {
             self.asked.borrow_mut().insert(entry);
             return 0;
         }
-        let Some(prepared) = self.program.prepare(entry) else { return 0 };
+        let Some(prepared) = self.program.prepare_function(entry) else { return 0 };
         if self.above.borrow().iter().any(|above| above.start == entry.start) {
             self.program
                 .report_problem(format!("{} calls itself, in a circle", prepared.graph.name));
@@ -117,16 +117,18 @@ impl<'a> WcetAnalysis<'a> {
     /// Returns the longest path of a function: its cycles, its own among them, and how often it calls which functions.
     #[must_use]
     pub(crate) fn longest_path(&self, entry: FunctionEntry, is_kept: bool) -> Option<LongestPath> {
-        let cycles = self.compute_cycles(entry, is_kept);
-        let prepared = self.program.prepare(entry).filter(|_| !self.free.contains(&entry.start))?;
+        let cycles = self.compute_function_cycles(entry, is_kept);
+        let prepared =
+            self.program.prepare_function(entry).filter(|_| !self.free.contains(&entry.start))?;
         let priced = self.function_costs(&prepared).with_cache_state(is_kept);
         let within: BTreeSet<usize> = (0..prepared.graph.blocks.len()).collect();
         let way: TracedPath = longest_path_to_return(&prepared, &priced, &within);
         let (mut calls, mut own) = (BTreeMap::new(), cycles);
         for ((block, in_cache), count) in way.visits {
             let is_kept = is_kept || in_cache;
-            let called =
-                prepared.calls[block].iter().map(|to| (self.compute_cycles(*to, is_kept), *to));
+            let called = prepared.calls[block]
+                .iter()
+                .map(|to| (self.compute_function_cycles(*to, is_kept), *to));
             if let Some((cost, to)) = called.max_by_key(|(cost, _)| *cost) {
                 own = own.saturating_sub(cost * count);
                 *calls.entry((to, is_kept)).or_default() += count;
@@ -151,7 +153,7 @@ impl<'a> WcetAnalysis<'a> {
             for call in &prepared.calls[*number] {
                 lines.extend(self.flash_lines_of_function(*call)?.iter());
             }
-            if lines.len() > CACHE_LINES {
+            if lines.len() > FLASH_CACHE_LINES {
                 return None;
             }
         }
@@ -164,7 +166,7 @@ impl<'a> WcetAnalysis<'a> {
         }
         // A circle of calls has a complaint already.
         self.lines.borrow_mut().insert(entry, None);
-        let prepared = self.program.prepare(entry)?;
+        let prepared = self.program.prepare_function(entry)?;
         let all: Vec<usize> = (0..prepared.graph.blocks.len()).collect();
         let lines = self.flash_lines_of_blocks(&prepared, &all).map(Rc::new);
         self.lines.borrow_mut().insert(entry, lines.clone());
@@ -229,7 +231,7 @@ impl<'a> WcetAnalysis<'a> {
         let lines = if is_kept {
             0
         } else {
-            self.clock.line_wait_cycles(block.start_address(), block.end_address())
+            self.clock.flash_line_wait_cycles(block.start_address(), block.end_address())
         };
         let mut cycles = u64::from(lines);
         for one in &block.instructions {
@@ -262,8 +264,10 @@ impl<'a> WcetAnalysis<'a> {
             }
             state.step(self.program.image, one);
         }
-        let calls =
-            prepared.calls[number].iter().map(|entry| self.compute_cycles(*entry, is_kept)).max();
+        let calls = prepared.calls[number]
+            .iter()
+            .map(|entry| self.compute_function_cycles(*entry, is_kept))
+            .max();
         match calls {
             Some(called) => {
                 cycles + self.clock.taken_branch_cycles(block.end_address(), is_kept) + called
@@ -299,7 +303,7 @@ fn longest_path_to_return<W: PathCost>(
 /// The prices of one function.
 pub(crate) struct FunctionCosts {
     prepared: Rc<PreparedFunction>,
-    clock: Clock,
+    clock: ClockConfiguration,
     /// Without the cache, and with it.
     blocks: [Vec<u64>; 2],
     /// Cycles in which the cache takes a loop that fits it.
@@ -356,7 +360,7 @@ impl CycleCosts for FunctionCosts {
         self.joined.get(&one.header).cloned().unwrap_or_default()
     }
 
-    fn iterations(&self, one: &Loop) -> LoopIterations {
+    fn loop_iterations(&self, one: &Loop) -> LoopIterations {
         let repeated = |rounds: IterationBound| match rounds {
             IterationBound::Times(times) => LoopIterations { times: times.into(), wait: 0 },
             IterationBound::Micros(us) => {

@@ -2,8 +2,8 @@
 //! call that leads nowhere and a circle of calls are named; what has a bound costs what the manual says.
 
 use trueup_bounds::{
-    clock::{CLOCKS, Clock},
-    critical_sections::CriticalSections,
+    clock::{CLOCK_CONFIGURATIONS, ClockConfiguration},
+    critical_sections::CriticalSectionAnalysis,
     declarations::{
         CalibrationSizes, CallTargets, DeclarationTable, IterationBound, LoopBound, SourceLocation,
     },
@@ -45,11 +45,15 @@ const HALVES: &[u16] = &[0x0909, 0x430A, 0x4282, 0xD3FB, 0x4770];
 /// `2: ldr r1, [r0]; 1: ldr r2, [r0, #4]; cmp r2, #1; beq 1b; cmp r2, #2; beq 2b; bx lr`: one loop of the source with two headers.
 const THREADED: &[u16] = &[0x6801, 0x6842, 0x2A01, 0xD0FC, 0x2A02, 0xD0F9, 0x4770];
 
-const SLOW: Clock = CLOCKS[2];
-const FAST: Clock = CLOCKS[0];
+const SLOW: ClockConfiguration = CLOCK_CONFIGURATIONS[2];
+const FAST: ClockConfiguration = CLOCK_CONFIGURATIONS[0];
 
 /// Returns the worst case of the first function, and what is missing.
-fn worst(code: &[&[u16]], table: &DeclarationTable, clock: Clock) -> (u64, Vec<String>) {
+fn worst(
+    code: &[&[u16]],
+    table: &DeclarationTable,
+    clock: ClockConfiguration,
+) -> (u64, Vec<String>) {
     worst_of(code, [None; 4], table, clock)
 }
 
@@ -58,13 +62,13 @@ fn worst_of(
     code: &[&[u16]],
     arguments: [Option<u32>; 4],
     table: &DeclarationTable,
-    clock: Clock,
+    clock: ClockConfiguration,
 ) -> (u64, Vec<String>) {
     let names = ["first", "second"];
     let functions: Vec<_> =
         (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
     let (image, source) = (Image::from_code(&functions), SourceCode::new(".".into()));
-    let program = Program::new(&image, table, &source, CalibrationSizes::NONE);
+    let program = Program::new(&image, table, &source, CalibrationSizes::EMPTY);
     let entry = FunctionEntry { arguments, ..FunctionEntry::new(FLASH) };
     let cycles = WcetAnalysis::new(&program, clock, None).function_cycles(entry);
     (cycles, program.problems())
@@ -167,10 +171,10 @@ fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
         let (image, source) =
             (Image::from_code(&[("first", FLASH, code)]), SourceCode::new(".".into()));
         let table = DeclarationTable::default();
-        let program = Program::new(&image, &table, &source, CalibrationSizes::NONE);
+        let program = Program::new(&image, &table, &source, CalibrationSizes::EMPTY);
         let worst = WcetAnalysis::new(&program, SLOW, None);
         let entry = FunctionEntry::new(FLASH);
-        let sections = CriticalSections::new(&program, &worst).sections_below(entry);
+        let sections = CriticalSectionAnalysis::new(&program, &worst).sections_in_call_tree(entry);
         assert!(program.problems().is_empty(), "{:?}", program.problems());
         sections.iter().map(|section| (section.ceiling, section.cycles)).collect::<Vec<_>>()
     };

@@ -12,7 +12,7 @@
 use std::{env, path::Path};
 
 use trueup_campaigns::hidden_effects::{HiddenCause, draw};
-use trueup_diagnose::{diagnose, report::Report};
+use trueup_diagnose::{diagnose, report::DiagnosisReport};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_numerics::robust::median;
 
@@ -72,7 +72,7 @@ fn evaluate_promise(cause: HiddenCause, ratio: f64, seed: u64) -> Option<Promise
 }
 
 /// Returns the reduction on the hold-out.
-fn holdout_reduction(report: &Report) -> f64 {
+fn holdout_reduction(report: &DiagnosisReport) -> f64 {
     1.0 - report.after.compensated_holdout_rms_um / report.before.holdout_rms_um
 }
 

@@ -8,7 +8,7 @@
 
 use std::{env, path::Path};
 
-use trueup_campaigns::year::{MachineKind, Year, YearSchedule, simulate_year_with_outliers};
+use trueup_campaigns::year::{MachineKind, SimulatedYear, YearConfig, simulate_year_with_outliers};
 use trueup_learn::calibration_monitoring::monitor_calibration;
 use trueup_machine::{Machine, MachineFile, RunFile};
 
@@ -22,7 +22,7 @@ const READINGS_IN_TWO_SHIFTS: usize = 4;
 const READINGS_IN_TEN_SHIFTS: usize = 20;
 
 /// Returns the rows of these days that have a reading, `added_um` more in each; with their header.
-fn collect_rows(year: &Year, days: std::ops::Range<usize>, added_um: f64) -> Vec<String> {
+fn collect_rows(year: &SimulatedYear, days: std::ops::Range<usize>, added_um: f64) -> Vec<String> {
     let mut all = Vec::new();
     for day in &year.days[days] {
         let mut lines = day.csv.lines();
@@ -67,7 +67,7 @@ fn main() {
         let (mut soon, mut late, mut changed) = (0, 0, 0);
         for seed in first..first + count {
             for kind in [MachineKind::Spindle, MachineKind::Axis] {
-                let drawn = simulate_year_with_outliers(seed, kind, YearSchedule::default(), bad);
+                let drawn = simulate_year_with_outliers(seed, kind, YearConfig::default(), bad);
                 let machine = MachineFile::parse(&drawn.machine, Path::new("m.toml"));
                 let machine = machine.expect("a machine file");
                 let then = parse_run(&collect_rows(&drawn, 0..CALIBRATION_DAYS, 0.0));

@@ -14,8 +14,8 @@
 
 use std::{collections::BTreeSet, env, path::Path};
 
-use trueup_campaigns::year::{MachineKind, Year, YearSchedule, simulate_year};
-use trueup_learn::{EventKind, LearnerState, Limits, learn};
+use trueup_campaigns::year::{MachineKind, SimulatedYear, YearConfig, simulate_year};
+use trueup_learn::{EventKind, LearnerState, LearningLimits, learn_from_run};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_numerics::least_squares::GivensQr;
 
@@ -64,7 +64,12 @@ fn predict_um(machine: &str, run: &RunFile, index: usize) -> Vec<f64> {
 }
 
 /// Returns how much more is predicted where the thermometer shows all of its rise over the air once more, by row in µm.
-fn air_temperature_sensitivity(year: &Year, run: &RunFile, file: &[f64], index: usize) -> Vec<f64> {
+fn air_temperature_sensitivity(
+    year: &SimulatedYear,
+    run: &RunFile,
+    file: &[f64],
+    index: usize,
+) -> Vec<f64> {
     let name = if index == 0 { "temp_front_c" } else { "temp_screw_c" };
     let air_c = run.column("temp_air_c").expect("the air").to_vec();
     let altered = run.with_altered_values(run.row_count(), |column, values| {
@@ -80,7 +85,7 @@ fn air_temperature_sensitivity(year: &Year, run: &RunFile, file: &[f64], index: 
 }
 
 /// Computes the RMS of each day in µm that the constants of the file allow, with the air as a second temperature or without.
-fn compute_rms_floor(year: &Year, has_air: bool) -> Vec<f64> {
+fn compute_rms_floor(year: &SimulatedYear, has_air: bool) -> Vec<f64> {
     let index = usize::from(year.quantity == "dx");
     let keys = ["k_um_per_c", "um_per_c", "slope_um_per_m_per_c", "reference_c", "width_um"];
     let lines = year.machine.lines();
@@ -133,7 +138,7 @@ fn compute_rms_floor(year: &Year, has_air: bool) -> Vec<f64> {
     (0..days.len()).map(of_day).collect()
 }
 
-fn simulate_learning(year: &Year) -> YearResult {
+fn simulate_learning(year: &SimulatedYear) -> YearResult {
     let index = usize::from(year.quantity == "dx");
     let mut machine = year.machine.clone();
     let mut memory: Option<LearnerState> = None;
@@ -147,8 +152,8 @@ fn simulate_learning(year: &Year) -> YearResult {
             [&year.machine, &machine]
                 .map(|machine| prediction_error_rms_um(machine, &run, &day.truth_um, index)),
         );
-        let (path, limits) = (Path::new("m.toml"), Limits::default());
-        let learned = learn(&year.machine, path, &run, None, memory.take(), &limits)
+        let (path, limits) = (Path::new("m.toml"), LearningLimits::default());
+        let learned = learn_from_run(&year.machine, path, &run, None, memory.take(), &limits)
             .unwrap_or_else(|error| panic!("{error}"));
         let starts = run.column("time_s").map_or(0.0, |times| times[0]);
         let since_s = starts - *first_s.get_or_insert(starts);
@@ -200,7 +205,7 @@ fn quantile(mut all: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Prints the events that were reported, and the days beyond the target.
-fn print_days(drawn: &Year, it: &YearResult) {
+fn print_days(drawn: &SimulatedYear, it: &YearResult) {
     it.memory.events.iter().for_each(|event| println!("    {}", event.describe()));
     let parts = it.days.chunks(65).map(|part| {
         let own = part.iter().map(|day| day[1]).collect();
@@ -234,7 +239,7 @@ fn main() {
         for kind in [MachineKind::Spindle, MachineKind::Axis] {
             let drift = seed % 2 == 1;
             let drawn =
-                simulate_year(seed, kind, YearSchedule { events: true, drift, checks: drift });
+                simulate_year(seed, kind, YearConfig { events: true, drift, checks: drift });
             let it = simulate_learning(&drawn);
             let place = usize::from(kind == MachineKind::Axis);
             floors[place].extend(compute_rms_floor(&drawn, false));
@@ -273,9 +278,9 @@ fn main() {
                 wear += usize::from(worn.is_some_and(|event| (event.size - 5.0).abs() <= 1.0));
             }
             bytes = bytes.max(it.memory.to_json().expect("it can be written").len());
-            let drifts = YearSchedule { events: true, drift: true, checks: false };
+            let drifts = YearConfig { events: true, drift: true, checks: false };
             asked += usize::from(simulate_learning(&simulate_year(seed, kind, drifts)).is_asked);
-            let calm = simulate_learning(&simulate_year(seed, kind, YearSchedule::default()));
+            let calm = simulate_learning(&simulate_year(seed, kind, YearConfig::default()));
             quiet += calm.memory.events.len();
             if is_loud {
                 let events = calm.memory.events.iter();

@@ -17,9 +17,9 @@ use trueup_twin::{
 /// The travel in mm.
 pub const TRAVEL_MM: [f64; 2] = [0.0, 1000.0];
 /// The longest step of the simulation, in s.
-const MAX_STEP_S: f64 = 1.0;
+const MAX_TIME_STEP_S: f64 = 1.0;
 /// Expansion of the screw in µm/(m·K).
-const SCREW_UM_PER_M_PER_C: f64 = 11.5;
+const SCREW_EXPANSION_UM_PER_M_PER_C: f64 = 11.5;
 
 /// The error in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,7 +79,8 @@ impl AxisTrial {
         let size = stream.log_uniform(0.3, 1.0);
         let hall_c = stream.uniform(21.5, 24.0);
         let only = |which: AxisFileDefect, value: f64| if wrong == which { value } else { 0.0 };
-        let slope = SCREW_UM_PER_M_PER_C * (1.0 + only(AxisFileDefect::Slope, 0.5 * size));
+        let slope =
+            SCREW_EXPANSION_UM_PER_M_PER_C * (1.0 + only(AxisFileDefect::Slope, 0.5 * size));
         let reference_c = 20.0 + only(AxisFileDefect::Reference, 3.0 * size);
         let scale = only(AxisFileDefect::Scale, 40.0 * size);
         let width = only(AxisFileDefect::Backlash, 12.0 * size)
@@ -89,7 +90,7 @@ impl AxisTrial {
         let is_bare = matches!(wrong, AxisFileDefect::Expansion | AxisFileDefect::Scale);
         let thermal = format!(
             "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20.0\n\
-             slope_um_per_m_per_c = {SCREW_UM_PER_M_PER_C:?}\n"
+             slope_um_per_m_per_c = {SCREW_EXPANSION_UM_PER_M_PER_C:?}\n"
         );
         // A screw that is not believed to grow does not, where its scale alone is wrong.
         let slope = if wrong == AxisFileDefect::Scale { 0.0 } else { slope };
@@ -136,7 +137,7 @@ impl AxisTrial {
             if to_mm != at_mm {
                 direction = (to_mm - at_mm).signum();
             }
-            let steps = (seconds / MAX_STEP_S).ceil().max(1.0);
+            let steps = (seconds / MAX_TIME_STEP_S).ceil().max(1.0);
             for step in 1..=steps as u32 {
                 let share = f64::from(step) / steps;
                 let x_mm = at_mm + share * (to_mm - at_mm);

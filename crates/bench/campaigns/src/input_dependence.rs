@@ -13,15 +13,15 @@ use trueup_twin::noise::RandomStream;
 const ROWS_PER_DAY: usize = 320;
 const SAMPLE_INTERVAL_S: f64 = 60.0;
 /// Noise of the gauge in µm.
-const NOISE_UM: f64 = 0.4;
+const GAUGE_NOISE_UM: f64 = 0.4;
 /// µm of the sensor for one count, and its count at 0 µm.
-const UM_PER_COUNT: f64 = 0.015_258_789_062_5;
-const ZERO_COUNTS: f64 = 5048.0;
+const SENSOR_UM_PER_COUNT: f64 = 0.015_258_789_062_5;
+const SENSOR_ZERO_COUNTS: f64 = 5048.0;
 /// Speeds of the spindle in r/min, two of them about the bound of the ranges.
-const SPEEDS_RPM: [f64; 9] =
+const SPINDLE_SPEEDS_RPM: [f64; 9] =
     [0.0, 3000.0, 6000.0, 8000.0, 10_000.0, 11_000.0, 14_000.0, 18_000.0, 24_000.0];
 /// The bound of the ranges of the speed in r/min.
-const RANGE_LIMIT_RPM: f64 = 10_500.0;
+const SPEED_RANGE_LIMIT_RPM: f64 = 10_500.0;
 
 /// A hidden law: its name, and the columns that it depends on.
 #[derive(Clone, Copy, Debug)]
@@ -75,13 +75,13 @@ pub const DEPENDENCE_KINDS: &[DependenceKind] = &[
         4.0 * s.late_difference_c
     }),
     dependence_kind("speed range", &["spindle_rpm"], |s| {
-        if s.rpm > RANGE_LIMIT_RPM { 4.0 } else { 0.0 }
+        if s.rpm > SPEED_RANGE_LIMIT_RPM { 4.0 } else { 0.0 }
     }),
     dependence_kind("growth in a speed range", &["spindle_rpm"], |s| {
-        if s.rpm > RANGE_LIMIT_RPM { 0.02 * s.speed_squared_krpm2() } else { 0.0 }
+        if s.rpm > SPEED_RANGE_LIMIT_RPM { 0.02 * s.speed_squared_krpm2() } else { 0.0 }
     }),
     dependence_kind("bend over the speed", &["spindle_rpm"], |s| {
-        0.8 * ((s.rpm - RANGE_LIMIT_RPM) / 1000.0).max(0.0)
+        0.8 * ((s.rpm - SPEED_RANGE_LIMIT_RPM) / 1000.0).max(0.0)
     }),
 ];
 
@@ -173,7 +173,7 @@ impl InputState {
             self.tool = chance.uniform_integer(0, 2);
         }
         if chance.bernoulli(0.07) {
-            self.rpm = chance.choose(&SPEEDS_RPM);
+            self.rpm = chance.choose(&SPINDLE_SPEEDS_RPM);
         }
         for (amount, [mean, deviation, rows]) in
             self.amounts.iter_mut().zip(CONTINUOUS_INPUT_STATISTICS)
@@ -221,11 +221,13 @@ pub fn draw(kind: DependenceKind, seed: u64) -> TrainingAndTestDays {
         let mut state = InputState::draw_steady_state(&mut chance);
         for row in 0..ROWS_PER_DAY {
             state.step(&mut chance, taus_s);
-            let counts =
-                (ZERO_COUNTS + state.grown_um / UM_PER_COUNT + 3.0 * chance.standard_normal())
-                    .round();
-            let measured_um =
-                state.grown_um + size * (kind.law)(&state) + NOISE_UM * chance.standard_normal();
+            let counts = (SENSOR_ZERO_COUNTS
+                + state.grown_um / SENSOR_UM_PER_COUNT
+                + 3.0 * chance.standard_normal())
+            .round();
+            let measured_um = state.grown_um
+                + size * (kind.law)(&state)
+                + GAUGE_NOISE_UM * chance.standard_normal();
             let _ = write!(
                 csv,
                 "{},{counts},{},{},{:.2},{:.2},{:.2},{:.2}",
@@ -250,7 +252,7 @@ pub fn draw(kind: DependenceKind, seed: u64) -> TrainingAndTestDays {
     let (first, second) = (day(), day());
     let machine = format!(
         "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n[spindle.sensor]\n\
-         k0_um = 0.0\nzero_counts = {ZERO_COUNTS:?}\num_per_count = {UM_PER_COUNT:?}\n"
+         k0_um = 0.0\nzero_counts = {SENSOR_ZERO_COUNTS:?}\num_per_count = {SENSOR_UM_PER_COUNT:?}\n"
     );
     TrainingAndTestDays { machine, first, second }
 }

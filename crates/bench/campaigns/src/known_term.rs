@@ -6,7 +6,9 @@
 
 use std::fmt::Write as _;
 
-use crate::hidden_effects::{Effect, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair};
+use crate::hidden_effects::{
+    ExpectedDiagnosis, HiddenCause, HiddenEffect, TestCase, draw, draw_pair,
+};
 
 /// Returns the causes that the file may have: those with a name whose term a board corrects.
 pub fn known_causes() -> impl Iterator<Item = HiddenCause> {
@@ -62,7 +64,7 @@ pub fn draw_with_known_term(
 pub fn draw_aged_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
-    halve(&mut old, &challenge);
+    halve_effect_parameters(&mut old, &challenge);
     challenge.machine += &format_term(&old, &challenge);
     let truth = &mut challenge.truth;
     // What could be gained is not known by halves: a time constant is no factor.
@@ -78,9 +80,9 @@ fn add(sum: &mut [f64], um: &[f64]) {
 }
 
 /// Half the way to where the term does nothing.
-fn halve(effect: &mut Effect, challenge: &TestCase) {
-    let slope = believed(&challenge.machine, "slope_um_per_m_per_c");
-    let constant = believed(&challenge.machine, "constant_um_per_c");
+fn halve_effect_parameters(effect: &mut HiddenEffect, challenge: &TestCase) {
+    let slope = machine_file_value(&challenge.machine, "slope_um_per_m_per_c");
+    let constant = machine_file_value(&challenge.machine, "constant_um_per_c");
     let most_um = challenge.truth.believed_um.iter().copied().fold(f64::MIN, f64::max);
     for (name, value) in &mut effect.parameters {
         let nothing = match *name {
@@ -123,14 +125,14 @@ fn halve(effect: &mut Effect, challenge: &TestCase) {
 }
 
 /// Returns the number that the file has under `key`; 0 where it has none.
-fn believed(machine: &str, key: &str) -> f64 {
+fn machine_file_value(machine: &str, key: &str) -> f64 {
     let mut lines = machine.lines();
     let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
     value.map_or(0.0, |value| value.parse().expect("the twin writes numbers"))
 }
 
 /// Returns `effect` as a `[[term]]` of the machine file, by the table of causes (`docs/reference.md`).
-fn format_term(effect: &Effect, challenge: &TestCase) -> String {
+fn format_term(effect: &HiddenEffect, challenge: &TestCase) -> String {
     let cause = effect.cause;
     let mut text = format!(
         "\n[[term]]\ncause = \"{}\"\nquantity = \"{}\"\n",

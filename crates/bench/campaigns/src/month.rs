@@ -32,24 +32,24 @@ const PROBE_INTERVAL_MIN: usize = 30;
 /// The spindle's rated speed in r/min.
 const RATED_RPM: f64 = 24_000.0;
 /// Growth by a kelvin of the front bearing and of the column, and at 1000 r/min, on the first day.
-const FRONT_BEARING_UM_PER_C: f64 = 5.0;
-const COLUMN_UM_PER_C: f64 = 1.5;
-const CENTRIFUGAL_UM_PER_KRPM2: f64 = 0.02;
+const FRONT_BEARING_GROWTH_UM_PER_C: f64 = 5.0;
+const COLUMN_EXPANSION_UM_PER_C: f64 = 1.5;
+const CENTRIFUGAL_GROWTH_UM_PER_KRPM2: f64 = 0.02;
 /// By how much the growth by a kelvin has grown when the month is over.
-const AGEING_PER_MONTH: f64 = 0.3;
+const RELATIVE_GROWTH_INCREASE_PER_MONTH: f64 = 0.3;
 
 /// The user's machine file, and the days of work.
 #[derive(Clone, Debug)]
-pub struct Month {
+pub struct SimulatedMonth {
     /// The machine file (TOML), right on the first day.
     pub machine: String,
     /// The days of work, in their order.
-    pub days: Vec<Day>,
+    pub days: Vec<WorkDay>,
 }
 
 /// A day of work, a row a minute.
 #[derive(Clone, Debug)]
-pub struct Day {
+pub struct WorkDay {
     /// The run file (CSV): clock, speed, temperatures, and what was probed.
     pub csv: String,
     /// The growth at the tool in each row, in µm.
@@ -74,7 +74,7 @@ struct TrueParameters {
 
 /// Returns the month of `seed`, of a machine that ages or of one without a fault.
 #[must_use]
-pub fn simulate_month(seed: u64, ages: bool) -> Month {
+pub fn simulate_month(seed: u64, ages: bool) -> SimulatedMonth {
     let mut stream = RandomStream::new(seed, "month");
     // Who repairs a machine probes it on the same day: of one that was not measured since nothing can
     // be known.
@@ -96,13 +96,15 @@ pub fn simulate_month(seed: u64, ages: bool) -> Month {
         }
         let is_probed = days.len() % 4 != 2;
         let past = day as f64 / DAYS_PER_MONTH as f64;
-        let aged = |walk: f64| if ages { 1.0 + AGEING_PER_MONTH * past + walk } else { 1.0 };
+        let aged = |walk: f64| {
+            if ages { 1.0 + RELATIVE_GROWTH_INCREASE_PER_MONTH * past + walk } else { 1.0 }
+        };
         let has_bearing = ages && day >= bearing_day;
         let truth = TrueParameters {
-            front_um_per_c: FRONT_BEARING_UM_PER_C
+            front_um_per_c: FRONT_BEARING_GROWTH_UM_PER_C
                 * aged(walk[0])
                 * if has_bearing { bearing[1] } else { 1.0 },
-            column_um_per_c: COLUMN_UM_PER_C * aged(walk[1]),
+            column_um_per_c: COLUMN_EXPANSION_UM_PER_C * aged(walk[1]),
             heat_c: 30.0 * if has_bearing { bearing[0] } else { 1.0 },
             shown: if ages && day >= moved_day { moved } else { 1.0 },
         };
@@ -119,13 +121,13 @@ pub fn simulate_month(seed: u64, ages: bool) -> Month {
     let machine = format!(
         "[machine]\nname = \"month\"\nkind = \"3-axis\"\n\n[spindle]\nsource = \"temperature\"\n\n\
          [spindle.temperature]\nsensor = \"temp_front_c\"\nreference_c = 20.0\n\
-         k_um_per_c = {FRONT_BEARING_UM_PER_C:?} # by the maker's data\nlag_s = 900.0\n\n\
+         k_um_per_c = {FRONT_BEARING_GROWTH_UM_PER_C:?} # by the maker's data\nlag_s = 900.0\n\n\
          [[term]]\ncause = \"extra-heat-path\"\nquantity = \"elongation\"\ncolumn = \"temp_column_c\"\n\
-         um_per_c = {COLUMN_UM_PER_C:?}\ntime_constant_s = 0.0\nreference_c = 20.0\n\n\
+         um_per_c = {COLUMN_EXPANSION_UM_PER_C:?}\ntime_constant_s = 0.0\nreference_c = 20.0\n\n\
          [[term]]\ncause = \"centrifugal-growth\"\nquantity = \"elongation\"\n\
-         um_per_krpm2 = {CENTRIFUGAL_UM_PER_KRPM2}\n"
+         um_per_krpm2 = {CENTRIFUGAL_GROWTH_UM_PER_KRPM2}\n"
     );
-    Month { machine, days }
+    SimulatedMonth { machine, days }
 }
 
 /// Simulates one day, from seven in the morning on.
@@ -137,7 +139,7 @@ fn simulate_day(
     stream: &mut RandomStream,
     wander: &mut CorrelatedNoise,
     probe: &mut RandomStream,
-) -> Day {
+) -> WorkDay {
     const WORKDAY_MINUTES: usize = 600;
     let air_c = stream.uniform(20.0, 23.0);
     let off_at = if stream.bernoulli(0.2) { stream.uniform_integer(120, 480) } else { usize::MAX };
@@ -145,7 +147,7 @@ fn simulate_day(
     let (mut front_c, mut column_c, mut followed_c) = (air_c, air_c, None);
     let (mut rpm, mut until) = (0.0, 0);
     let mut it =
-        Day { csv: String::new(), truth_um: Vec::new(), works: Vec::new(), is_probed, bad: 0 };
+        WorkDay { csv: String::new(), truth_um: Vec::new(), works: Vec::new(), is_probed, bad: 0 };
     let mut table = RunTable::new();
     for minute in 0..WORKDAY_MINUTES {
         if minute >= until {
@@ -182,7 +184,7 @@ fn simulate_day(
         let krpm = turning_rpm / 1000.0;
         let um = truth.front_um_per_c * (*followed - 20.0)
             + truth.column_um_per_c * (column_shown_c - 20.0)
-            + CENTRIFUGAL_UM_PER_KRPM2 * krpm * krpm
+            + CENTRIFUGAL_GROWTH_UM_PER_KRPM2 * krpm * krpm
             + wandered_um
             + *zero_um;
         let mut read_um = f64::NAN;

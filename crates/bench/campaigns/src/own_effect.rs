@@ -2,21 +2,21 @@
 
 /// Computes the RMS of the part of `of` that no linear combination of the `others` and a constant has, over the same rows,
 /// in their unit.
-pub(crate) fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
+pub(crate) fn orthogonal_component_rms(of: &[f64], others: &[&[f64]]) -> f64 {
     let mut basis = vec![vec![1.0; of.len()]];
     for other in others {
-        let left = beside(other, &basis);
+        let left = project_out(other, &basis);
         // One that the ones before it can do as well brings nothing, and has no direction.
         if dot(&left, &left) > 1e-12 * dot(other, other) {
             basis.push(left);
         }
     }
-    let left = beside(of, &basis);
+    let left = project_out(of, &basis);
     (dot(&left, &left) / left.len() as f64).sqrt()
 }
 
 /// Returns what is left of `um` next to columns that are at right angles to each other.
-fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
+fn project_out(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
     let mut left = um.to_vec();
     for column in basis {
         let share = dot(&left, column) / dot(column, column);

@@ -25,7 +25,7 @@ const FRONT_BEARING_UM_PER_C: f64 = 4.0;
 
 /// The error in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MachineFileDefect {
+pub enum SpindleFileDefect {
     /// The growth with the square of the speed is not in it.
     Centrifugal,
     /// The column's own path of heat is not in it.
@@ -41,7 +41,7 @@ pub enum MachineFileDefect {
 pub struct SpindleTrial {
     seed: u64,
     /// The error in the file.
-    pub wrong: MachineFileDefect,
+    pub wrong: SpindleFileDefect,
     /// The machine file (TOML) that the user believes.
     pub machine: String,
     front_um_per_c: f64,
@@ -56,13 +56,13 @@ impl SpindleTrial {
     pub fn from_seed(seed: u64) -> Self {
         let mut stream = RandomStream::new(seed, "trial");
         let wrong = stream.choose(&[
-            MachineFileDefect::Centrifugal,
-            MachineFileDefect::Column,
-            MachineFileDefect::Lag,
-            MachineFileDefect::Growth,
+            SpindleFileDefect::Centrifugal,
+            SpindleFileDefect::Column,
+            SpindleFileDefect::Lag,
+            SpindleFileDefect::Growth,
         ]);
         let size = stream.log_uniform(0.15, 1.0);
-        let only = |which: MachineFileDefect, value: f64| if wrong == which { value } else { 0.0 };
+        let only = |which: SpindleFileDefect, value: f64| if wrong == which { value } else { 0.0 };
         Self {
             seed,
             wrong,
@@ -72,10 +72,10 @@ impl SpindleTrial {
                  k_um_per_c = {FRONT_BEARING_UM_PER_C:?}\nlag_s = 0.0\n"
             ),
             front_um_per_c: FRONT_BEARING_UM_PER_C
-                * (1.0 + only(MachineFileDefect::Growth, 0.2 * size)),
-            column_um_per_c: only(MachineFileDefect::Column, 2.0 * size),
-            um_per_krpm2: only(MachineFileDefect::Centrifugal, 0.02 * size),
-            lag_s: only(MachineFileDefect::Lag, 240.0 * size),
+                * (1.0 + only(SpindleFileDefect::Growth, 0.2 * size)),
+            column_um_per_c: only(SpindleFileDefect::Column, 2.0 * size),
+            um_per_krpm2: only(SpindleFileDefect::Centrifugal, 0.02 * size),
+            lag_s: only(SpindleFileDefect::Lag, 240.0 * size),
         }
     }
 

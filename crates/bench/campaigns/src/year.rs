@@ -29,7 +29,7 @@ pub enum MachineKind {
 
 /// The events and disturbances of a year, and the checks of the probe.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct YearSchedule {
+pub struct YearConfig {
     /// A part changed, a thermometer moved, a crash, wear.
     pub events: bool,
     /// The probe drifts by 6 µm a year.
@@ -53,7 +53,7 @@ pub struct PlannedEvent {
 
 /// A year.
 #[derive(Clone, Debug)]
-pub struct Year {
+pub struct SimulatedYear {
     /// The machine file (TOML), right on the first day.
     pub machine: String,
     /// The quantity that is measured.
@@ -86,7 +86,7 @@ const WORN_BACKLASH_WIDTH_UM: f64 = 9.0;
 
 /// Returns the year of `seed`; one reading in twenty is bad.
 #[must_use]
-pub fn simulate_year(seed: u64, kind: MachineKind, happens: YearSchedule) -> Year {
+pub fn simulate_year(seed: u64, kind: MachineKind, happens: YearConfig) -> SimulatedYear {
     simulate_year_with_outliers(seed, kind, happens, OUTLIER_SHARE)
 }
 
@@ -95,9 +95,9 @@ pub fn simulate_year(seed: u64, kind: MachineKind, happens: YearSchedule) -> Yea
 pub fn simulate_year_with_outliers(
     seed: u64,
     kind: MachineKind,
-    happens: YearSchedule,
+    happens: YearConfig,
     bad: f64,
-) -> Year {
+) -> SimulatedYear {
     let is_spindle = kind == MachineKind::Spindle;
     let mut stream = RandomStream::new(seed, if is_spindle { "year spindle" } else { "year axis" });
     let mut probe = RandomStream::new(seed, "year probe");
@@ -111,7 +111,7 @@ pub fn simulate_year_with_outliers(
         stream.uniform_integer(235, 285),
     ];
     let at = days_at.map(|day| day as f64 * DAY_S);
-    let mut year = Year {
+    let mut year = SimulatedYear {
         machine: machine_file(kind),
         quantity: if kind == MachineKind::Spindle { "elongation" } else { "dx" },
         days: Vec::new(),
@@ -180,7 +180,7 @@ pub fn simulate_year_with_outliers(
                 next_check = day + 28;
             }
             table.push_value("time_s", 0, time_s);
-            push_inputs(&mut table, kind, [shown_c, column], [x_mm, direction]);
+            push_input_values(&mut table, kind, [shown_c, column], [x_mm, direction]);
             table.push_value("temp_air_c", 2, hundredth(air_c));
             if happens.checks {
                 table.push_value("check_um", 2, check_um);
@@ -241,7 +241,7 @@ fn plan_events(at: [f64; 3], sizes: [f64; 3]) -> Vec<PlannedEvent> {
 }
 
 /// Writes what the law of the kind reads: the two temperatures of a spindle; temperature, position and direction of an axis.
-fn push_inputs(
+fn push_input_values(
     table: &mut RunTable,
     kind: MachineKind,
     temperatures_c: [f64; 2],

@@ -28,7 +28,7 @@ struct DocumentedCrate {
 ///
 /// # Errors
 /// cargo cannot be started, a crate has no page, or rustdoc finds something wrong.
-pub fn build() -> Result<PathBuf> {
+pub fn build_api_docs() -> Result<PathBuf> {
     let mut doc = cargo::locked_command("doc");
     doc.args(["--workspace", "--exclude", "trueup-firmware", "--no-deps", "--all-features"]);
     process::run(doc.env("RUSTDOCFLAGS", "-D warnings"))?;
@@ -37,7 +37,7 @@ pub fn build() -> Result<PathBuf> {
     metadata.args(["--no-deps", "--format-version", "1"]);
     let metadata: Value = serde_json::from_str(&process::capture_stdout(&mut metadata)?)?;
     let crates = documented_crates(&metadata)?;
-    let folder = PathBuf::from(text_of(&metadata, "target_directory")?).join("doc");
+    let folder = PathBuf::from(string_field(&metadata, "target_directory")?).join("doc");
     for one in &crates {
         let page = folder.join(&one.target).join("index.html");
         ensure!(
@@ -48,7 +48,7 @@ pub fn build() -> Result<PathBuf> {
         );
     }
     let root = setup::project_root();
-    let rooms = rooms(&fs::read_to_string(root.join("ARCHITECTURE.md"))?);
+    let rooms = parse_rooms(&fs::read_to_string(root.join("ARCHITECTURE.md"))?);
     let front_page = folder.join("index.html");
     fs::write(&front_page, front_page_html(&rooms, &crates)?)?;
     Ok(front_page)
@@ -56,10 +56,10 @@ pub fn build() -> Result<PathBuf> {
 
 /// Returns the crates in the folder `crates`, and the commands, in the order of their folders.
 fn documented_crates(metadata: &Value) -> Result<Vec<DocumentedCrate>> {
-    let root = text_of(metadata, "workspace_root")?;
+    let root = string_field(metadata, "workspace_root")?;
     let mut crates = Vec::new();
     for package in metadata["packages"].as_array().context("no packages")? {
-        let manifest = text_of(package, "manifest_path")?;
+        let manifest = string_field(package, "manifest_path")?;
         let Some(folder) = manifest
             .strip_prefix(root)
             .and_then(|path| path.strip_suffix("/Cargo.toml"))
@@ -68,7 +68,7 @@ fn documented_crates(metadata: &Value) -> Result<Vec<DocumentedCrate>> {
         else {
             continue;
         };
-        let package_name = text_of(package, "name")?;
+        let package_name = string_field(package, "name")?;
         let targets = package["targets"].as_array().context("no targets")?;
         let of_kind = |kind: &str| {
             targets.iter().find(|target| {
@@ -79,20 +79,22 @@ fn documented_crates(metadata: &Value) -> Result<Vec<DocumentedCrate>> {
         crates.push(DocumentedCrate {
             folder: folder.into(),
             package: package_name.into(),
-            target: text_of(target, "name")?.replace('-', "_"),
-            description: text_of(package, "description").context(package_name.to_owned())?.into(),
+            target: string_field(target, "name")?.replace('-', "_"),
+            description: string_field(package, "description")
+                .context(package_name.to_owned())?
+                .into(),
         });
     }
     crates.sort_by(|a, b| a.folder.cmp(&b.folder));
     Ok(crates)
 }
 
-fn text_of<'a>(value: &'a Value, key: &str) -> Result<&'a str> {
+fn string_field<'a>(value: &'a Value, key: &str) -> Result<&'a str> {
     value[key].as_str().with_context(|| format!("no {key}"))
 }
 
 /// Returns the folders of the rooms with what they hold, from the table in ARCHITECTURE.md whose first column is `room`.
-fn rooms(architecture: &str) -> Vec<(String, String)> {
+fn parse_rooms(architecture: &str) -> Vec<(String, String)> {
     let table = architecture.lines().skip_while(|line| !line.starts_with("| room |")).skip(2);
     let rows = table.take_while(|line| line.starts_with('|'));
     rows.filter_map(|row| {
@@ -153,7 +155,8 @@ mod tests {
     #[test]
     fn the_rooms_are_those_of_the_architecture() {
         let text = fs::read_to_string(setup::project_root().join("ARCHITECTURE.md")).unwrap();
-        let folders: Vec<String> = rooms(&text).into_iter().map(|(folder, _)| folder).collect();
+        let folders: Vec<String> =
+            parse_rooms(&text).into_iter().map(|(folder, _)| folder).collect();
         let expected = ["base", "board", "model", "analysis", "tool", "bench"];
         assert_eq!(folders, expected.map(|room| format!("crates/{room}")));
     }

@@ -23,7 +23,7 @@ use trueup_emulator::{
 /// # Errors
 /// The image or the table of tasks cannot be read.
 pub fn compute_bounds(image: &Path) -> Result<TimingBounds> {
-    bound_task_times(image, CalibrationSizes::NONE)
+    bound_task_times(image, CalibrationSizes::EMPTY)
 }
 
 fn bound_task_times(image: &Path, sizes: CalibrationSizes) -> Result<TimingBounds> {
@@ -44,12 +44,13 @@ fn bound_task_times(image: &Path, sizes: CalibrationSizes) -> Result<TimingBound
 /// # Errors
 /// There is no such task or clock, or the image does not build.
 pub fn format_longest_path(task: &str, mhz: u32, is_largest: bool) -> Result<String> {
-    let clock = clock::CLOCKS.into_iter().find(|clock| clock.mhz == mhz);
+    let clock = clock::CLOCK_CONFIGURATIONS.into_iter().find(|clock| clock.mhz == mhz);
     let clock = clock.with_context(|| format!("{mhz} MHz is no clock of the board"))?;
     let root = setup::project_root();
     let app = fs::read_to_string(root.join("src/main.rs"))?;
-    let image = Image::read(&firmware::build_for_machine(&root.join("data/paper_spindle.toml"))?)?;
-    let sizes = if is_largest { CalibrationSizes::LARGEST } else { CalibrationSizes::NONE };
+    let image =
+        Image::read(&firmware::build_image_for_machine(&root.join("data/paper_spindle.toml"))?)?;
+    let sizes = if is_largest { CalibrationSizes::MAX } else { CalibrationSizes::EMPTY };
     path_report::longest_path_of_task(
         &image,
         &app,
@@ -66,9 +67,9 @@ pub fn format_longest_path(task: &str, mhz: u32, is_largest: bool) -> Result<Str
 ///
 /// # Errors
 /// A loop has no bound or a call no target; what is named. The image does not build, or cannot be run.
-pub fn format_report() -> Result<String> {
+pub fn format_timing_report() -> Result<String> {
     let image =
-        firmware::build_for_machine(&setup::project_root().join("data/paper_spindle.toml"))?;
+        firmware::build_image_for_machine(&setup::project_root().join("data/paper_spindle.toml"))?;
     let bounds = compute_bounds(&image)?;
     if !bounds.problems.is_empty() {
         bail!("{}", bounds.problems.join("\n"));
@@ -86,7 +87,7 @@ pub fn format_report() -> Result<String> {
     for unused in &bounds.unused {
         text += &format!("declared, but not needed: {unused}\n");
     }
-    let largest = bound_task_times(&image, CalibrationSizes::LARGEST)?;
+    let largest = bound_task_times(&image, CalibrationSizes::MAX)?;
     text += "\nWith the largest calibration, 16 terms and 32 tools:\n";
     text += &largest.format_table(|_| None);
     Ok(text)

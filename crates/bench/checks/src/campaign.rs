@@ -15,7 +15,7 @@ const CARGO_MUTANTS_VERSION: &str = "27.1.0";
 const MUTATED_PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
 /// Functions whose mutants are tried on the simulator alone: a file of `crates/board`, and the end of the function's name.
 /// They are those of the faults that `crates/board/node/tests/planted.rs` plants.
-const SIMULATED_FUNCTIONS: [(&str, &str); 16] = [
+const SIMULATOR_TESTED_FUNCTIONS: [(&str, &str); 16] = [
     ("core/src/limits.rs", "AppliedOffset::step"),
     ("core/src/bridge/sources.rs", "::quality"),
     ("core/src/bridge/sources.rs", "::switch_source"),
@@ -47,7 +47,7 @@ const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 ///
 /// # Errors
 /// It does not build, or something did not hold.
-pub fn soak(ticks: u64, seed: u32) -> Result<()> {
+pub fn run_soak_campaign(ticks: u64, seed: u32) -> Result<()> {
     let run = |package: &str, binary: &str, test: &str| {
         let mut command = cargo::locked_command("test");
         command
@@ -133,7 +133,7 @@ pub fn run_volume_board_campaign(poses: u32) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, or a requirement is not reached.
-pub fn run_random_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
+pub fn run_linuxcnc_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
     let mut test = cargo::locked_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact", "abuse::campaign_abuse", "--nocapture"])
@@ -149,7 +149,7 @@ pub fn run_random_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str
 ///
 /// # Errors
 /// It does not build, or the circle is not 80 % rounder, or 95 % of the backlash is not gone.
-pub fn run_linuxcnc_circle() -> Result<()> {
+pub fn run_linuxcnc_circular_test() -> Result<()> {
     let mut test = cargo::locked_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact"])
@@ -201,7 +201,7 @@ pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
         [] => MutantOutcomes::default(),
         _ => run_mutants(mutants_command(&program), "all-tests", &missed, &all_tests)?,
     };
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(format_args!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
         drawn.len(),
         by_unit.caught.len() + by_all.caught.len(),
@@ -222,7 +222,7 @@ pub fn run_simulator_mutation_campaign() -> Result<()> {
     let program = cargo::install_tool("cargo-mutants", CARGO_MUTANTS_VERSION)?;
     let listed = list_mutants(&program)?;
     let mut names = Vec::new();
-    for (file, function) in SIMULATED_FUNCTIONS {
+    for (file, function) in SIMULATOR_TESTED_FUNCTIONS {
         let is_of_it = |mutant: &&Mutant| {
             mutant.file == format!("crates/board/{file}") && mutant.function.ends_with(function)
         };
@@ -233,7 +233,7 @@ pub fn run_simulator_mutation_campaign() -> Result<()> {
     }
     let options = ["--test-package=trueup-node", "--cargo-test-arg=--test=simulator"];
     let found = run_mutants(mutants_command(&program), "simulator", &names, &options)?;
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(format_args!(
         "{} mutants: the simulator finds {}, {} by the time limit, {} do not compile, {} missed\n{}",
         names.len(),
         found.caught.len(),

@@ -46,7 +46,7 @@ pub(crate) fn install_release_tool(
 fn install_with_options(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
     let folder = setup::project_root().join("target/tools");
     let program = folder.join("bin").join(name);
-    if !is_expected_version(&program, name, version) {
+    if !has_expected_version(&program, name, version) {
         trueup_output::write_diagnostic(format_args!(
             "building {name} {version} into target/tools"
         ));
@@ -62,7 +62,7 @@ fn install_with_options(name: &str, version: &str, options: &[&str]) -> Result<P
     Ok(program)
 }
 
-fn is_expected_version(program: &Path, name: &str, version: &str) -> bool {
+fn has_expected_version(program: &Path, name: &str, version: &str) -> bool {
     // As cargo calls it: cargo-mutants knows no option without its verb.
     let verb = name.strip_prefix("cargo-");
     // Behind the name: `cargo-deny 0.20.2`, `mdbook v0.5.4`.

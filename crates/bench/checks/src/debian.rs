@@ -48,7 +48,7 @@ pub(crate) fn build_package_for_target(target: &str) -> Result<PathBuf> {
 /// # Errors
 /// It does not compile, or the tool was not built before.
 pub(crate) fn build_bridge_library(target: Option<&str>) -> Result<PathBuf> {
-    let built = host_programs::build_servo_library_for(target)?;
+    let built = host_programs::build_servo_library_for_target(target)?;
     let folder =
         setup::project_root().join("target").join(target.unwrap_or_default()).join("release");
     let library = folder.join(built.file_name().context("a library has a name")?);

@@ -11,7 +11,7 @@ use crate::{cargo, tally::Tally};
 ///
 /// # Errors
 /// It is older, or does not say what it is.
-pub(crate) fn check_compiler() -> Result<Tally> {
+pub(crate) fn check_compiler_version() -> Result<Tally> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
     let stdout = process::capture_stdout(Command::new(rustc).arg("--version"))?;
     let manifest = std::fs::read_to_string(setup::project_root().join("Cargo.toml"))?;
@@ -20,7 +20,10 @@ pub(crate) fn check_compiler() -> Result<Tally> {
         .find_map(|line| line.strip_prefix("rust-version = "))
         .context("Cargo.toml states no rust-version")?
         .trim_matches('"');
-    trueup_output::write_line(format_args!("{} ({oldest} or newer is needed)", stdout.trim()));
+    trueup_output::write_line_best_effort(format_args!(
+        "{} ({oldest} or newer is needed)",
+        stdout.trim()
+    ));
     let version = stdout.split_whitespace().nth(1).unwrap_or_default();
     ensure!(
         parse_major_minor(version) >= parse_major_minor(oldest),
@@ -43,7 +46,7 @@ const CARGO_DENY_VERSION: &str = "0.20.2";
 ///
 /// # Errors
 /// A crate breaks a rule, or cargo-deny cannot be built.
-pub(crate) fn check_crates() -> Result<Tally> {
+pub(crate) fn check_dependencies() -> Result<Tally> {
     let deny = install_cargo_deny()?;
     let check = |what: &[&str]| {
         let mut command = Command::new(&deny);
@@ -63,22 +66,22 @@ pub(crate) fn check_crates() -> Result<Tally> {
     process::run(&mut model)?;
     let mut tally = Tally::with_passed(1);
     tally.merge(match check_advisories()? {
-        Advisories::None(_) => Tally::with_passed(1),
+        AdvisoryStatus::None(_) => Tally::with_passed(1),
         // The world finds a hole on any day; that must not stop who has changed nothing.
-        Advisories::Known(advisories) => Tally::report_unavailable(&format!(
+        AdvisoryStatus::Known(advisories) => Tally::report_unavailable(&format!(
             "cargo-deny advisories, to be looked at: {advisories}"
         )),
-        Advisories::NotHad => {
-            Tally::report_unavailable(&format!("cargo-deny advisories: {DATABASE_UNAVAILABLE}"))
-        }
+        AdvisoryStatus::NotHad => Tally::report_unavailable(&format!(
+            "cargo-deny advisories: {ADVISORY_DATABASE_UNAVAILABLE}"
+        )),
     });
     Ok(tally)
 }
 
-const DATABASE_UNAVAILABLE: &str = "their database cannot be had here";
+const ADVISORY_DATABASE_UNAVAILABLE: &str = "their database cannot be had here";
 
 /// Known vulnerabilities of the crates in the lock file, by the advisories of the Rust project (RustSec).
-enum Advisories {
+enum AdvisoryStatus {
     /// Nothing is known; the message.
     None(String),
     /// There are some; the message.
@@ -87,20 +90,20 @@ enum Advisories {
     NotHad,
 }
 
-fn check_advisories() -> Result<Advisories> {
+fn check_advisories() -> Result<AdvisoryStatus> {
     let deny = install_cargo_deny()?;
     let mut fetch = Command::new(&deny);
     fetch.args(["fetch", "db"]).current_dir(setup::project_root());
     if process::run(&mut fetch).is_err() {
-        return Ok(Advisories::NotHad);
+        return Ok(AdvisoryStatus::NotHad);
     }
     let mut check = Command::new(&deny);
     check
         .args(["--locked", "check", "--disable-fetch", "advisories"])
         .current_dir(setup::project_root());
     Ok(match process::capture_stdout(&mut check) {
-        Ok(advisories) => Advisories::None(advisories),
-        Err(error) => Advisories::Known(format!("{error:#}")),
+        Ok(advisories) => AdvisoryStatus::None(advisories),
+        Err(error) => AdvisoryStatus::Known(format!("{error:#}")),
     })
 }
 
@@ -114,21 +117,21 @@ pub(crate) fn vulnerability_report() -> Result<(String, Option<String>)> {
     let plain =
         |message: String| message.replace(&setup::project_root().display().to_string(), "/trueup");
     Ok(match check_advisories()? {
-        Advisories::None(message) => (format!("{head}: none.\n{}", plain(message)), None),
-        Advisories::Known(message) => {
+        AdvisoryStatus::None(message) => (format!("{head}: none.\n{}", plain(message)), None),
+        AdvisoryStatus::Known(message) => {
             let missing =
                 "vulnerabilities.txt lists advisories: decide on each before it is handed out";
             (format!("{head}:\n{}\n", plain(message)), Some(missing.into()))
         }
-        Advisories::NotHad => {
+        AdvisoryStatus::NotHad => {
             let lines = "cargo deny fetch db && cargo deny check advisories";
             let text = format!(
-                "{head}: not looked up, {DATABASE_UNAVAILABLE}. Where there is a network: {lines}\n"
+                "{head}: not looked up, {ADVISORY_DATABASE_UNAVAILABLE}. Where there is a network: {lines}\n"
             );
             (
                 text,
                 Some(format!(
-                    "the known vulnerabilities are not looked up: {DATABASE_UNAVAILABLE}"
+                    "the known vulnerabilities are not looked up: {ADVISORY_DATABASE_UNAVAILABLE}"
                 )),
             )
         }

@@ -41,7 +41,7 @@ impl Tally {
 
     /// Returns one thing that cannot be had here.
     pub(crate) fn report_unavailable(why: &str) -> Self {
-        trueup_output::write_line(format_args!("skipped: {why}"));
+        trueup_output::write_line_best_effort(format_args!("skipped: {why}"));
         Self { lacking: 1, ..Self::default() }
     }
 

@@ -47,7 +47,7 @@ pub struct TestProgram {
 }
 
 /// Builds all of them.
-pub fn build() -> Result<Vec<TestProgram>> {
+pub fn build_test_programs() -> Result<Vec<TestProgram>> {
     let mut command = cargo::locked_command("test");
     command.args(["--no-run", "--lib", "--bins", "--tests"]).args(CARGO_FEATURE_ARGUMENTS);
     command.args(["--message-format", "json-render-diagnostics"]);
@@ -126,7 +126,7 @@ pub fn run(
                 let next =
                     take_next_program(&mut open.lock().expect("no worker panics"), worker == 0);
                 let Some(program) = next else { return Ok(()) };
-                let tally = run_program(program, arguments, variables)?;
+                let tally = run_test_program(program, arguments, variables)?;
                 total.lock().expect("no worker panics").merge(tally);
             }
         };
@@ -148,7 +148,7 @@ fn take_next_program<'a>(
     Some(open.remove(place))
 }
 
-fn run_program(
+fn run_test_program(
     program: &TestProgram,
     arguments: &[&str],
     variables: &[(&str, &str)],
@@ -184,7 +184,7 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tall
         piece += &format!("\n           {line}");
     }
     // In one piece: two programs run at a time.
-    trueup_output::write_line(piece);
+    trueup_output::write_line_best_effort(piece);
     Ok(tally)
 }
 

@@ -78,12 +78,12 @@ pub fn run(tier: Tier) -> Result<()> {
     let started = Instant::now();
     let mut checks = Verification::default();
     let mut programs = Vec::new();
-    checks.run_step("compiler", supply_chain::check_compiler);
+    checks.run_step("compiler", supply_chain::check_compiler_version);
     if tier != Tier::Long {
         run_quick_checks(&mut checks);
     }
     checks.run_step("build of the tests", || {
-        programs = test_run::build()?;
+        programs = test_run::build_test_programs()?;
         Ok(Tally::with_passed(1))
     });
     if tier != Tier::Long {
@@ -108,25 +108,29 @@ fn run_quick_checks(checks: &mut Verification) {
     checks
         .run_step("set-up", || setup::install_quick_test_dependencies().map(|()| Tally::default()));
     checks.run_step("structure", || {
-        trueup_output::write_line(structure::check(&setup::project_root())?.trim_end());
+        trueup_output::write_line_best_effort(
+            structure::check_structure(&setup::project_root())?.trim_end(),
+        );
         Ok(Tally::with_passed(1))
     });
     checks.run_step("spelling", check_spelling);
-    checks.run_step("format", || run_check(cargo::cargo_command("fmt").args(["--all", "--check"])));
+    checks.run_step("format", || {
+        run_check_command(cargo::cargo_command("fmt").args(["--all", "--check"]))
+    });
     checks.run_step("clippy, host", || {
         let every = ["--all-targets", "--all-features", "--", "-D", "warnings"];
-        run_check(cargo::locked_command("clippy").args(every))
+        run_check_command(cargo::locked_command("clippy").args(every))
     });
     checks.run_step("clippy, boards, boot program and benchmark", || {
         let mut tally = Tally::default();
         for board in Board::ALL {
             let (mut clippy, _) = firmware::board_cargo_command("clippy", board)?;
-            tally.merge(run_check(clippy.args(["--", "-D", "warnings"]))?);
+            tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
         }
         let (mut clippy, _) = firmware::benchmark_cargo_command("clippy")?;
-        tally.merge(run_check(clippy.args(["--", "-D", "warnings"]))?);
+        tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
         for mut clippy in slots::cargo_commands("clippy")? {
-            tally.merge(run_check(clippy.args(["--", "-D", "warnings"]))?);
+            tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
         }
         Ok(tally)
     });
@@ -137,8 +141,8 @@ fn run_quick_checks(checks: &mut Verification) {
                 "the model of the chip: it needs Rust {major}.{minor}"
             )));
         }
-        run_check(chip::model_cargo_command("fmt").arg("--check"))?;
-        run_check(chip::model_cargo_command("clippy").args([
+        run_check_command(chip::model_cargo_command("fmt").arg("--check"))?;
+        run_check_command(chip::model_cargo_command("clippy").args([
             "--locked",
             "--all-targets",
             "--",
@@ -148,7 +152,7 @@ fn run_quick_checks(checks: &mut Verification) {
         test_run::run_test_command("chip", chip::model_cargo_command("test").arg("--locked"))
     });
     checks.run_step("images", || {
-        trueup_output::write_line(size::build_size_report()?.trim_end());
+        trueup_output::write_line_best_effort(size::build_size_report()?.trim_end());
         Ok(Tally::with_passed(2))
     });
 }
@@ -160,7 +164,7 @@ fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
     checks.run_step("long tests", || {
         test_run::run(programs, &["--ignored", "--skip", "campaign_"], &[])
     });
-    checks.run_step("documentation", || api_docs::build().map(|_| Tally::with_passed(1)));
+    checks.run_step("documentation", || api_docs::build_api_docs().map(|_| Tally::with_passed(1)));
     checks.run_step("the board by the distribution's compiler", || {
         if process::find_on_path("apt-get").is_none() {
             return Ok(Tally::report_unavailable("this distribution has no such compiler"));
@@ -174,23 +178,23 @@ fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
     });
     checks.run_step("LinuxCNC in the loop", || {
         // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
-        let mut looped = linuxcnc::run_and_publish(CompensationRoute::default());
+        let mut looped = linuxcnc::run_and_write_report(CompensationRoute::default());
         for _ in 1..MAX_LINUXCNC_RUNS {
             let Err(error) = &looped else { break };
             trueup_output::write_diagnostic(format_args!("error: {error:#}; trying again"));
-            looped = linuxcnc::run_and_publish(CompensationRoute::default());
+            looped = linuxcnc::run_and_write_report(CompensationRoute::default());
         }
         Ok(match looped? {
             Some(passed) => Tally::with_passed(passed),
             None => Tally::report_unavailable("this distribution has no package of LinuxCNC"),
         })
     });
-    checks.run_step("crates of others", supply_chain::check_crates);
+    checks.run_step("crates of others", supply_chain::check_dependencies);
 }
 
 /// Checks the spelling of all files, and the words that `_typos.toml` replaces.
 fn check_spelling() -> Result<Tally> {
-    run_check(typos_command()?.arg("."))
+    run_check_command(typos_command()?.arg("."))
 }
 
 fn typos_command() -> Result<Command> {
@@ -200,7 +204,7 @@ fn typos_command() -> Result<Command> {
 }
 
 /// Runs a command that passes or fails as a whole.
-fn run_check(command: &mut Command) -> Result<Tally> {
+fn run_check_command(command: &mut Command) -> Result<Tally> {
     process::run(command)?;
     Ok(Tally::with_passed(1))
 }
@@ -209,28 +213,30 @@ fn print_report(checks: &Verification, tier: Tier, took: Duration) {
     let total = &checks.total;
     let mut times = [checks.steps.clone(), total.times.clone()].concat();
     times.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
-    trueup_output::write_line(format_args!("\nthe {MAX_REPORTED_TIMES} longest, steps and tests:"));
+    trueup_output::write_line_best_effort(format_args!(
+        "\nthe {MAX_REPORTED_TIMES} longest, steps and tests:"
+    ));
     for (name, time) in times.iter().take(MAX_REPORTED_TIMES) {
-        trueup_output::write_line(format_args!("{:7.1} s  {name}", time.as_secs_f64()));
+        trueup_output::write_line_best_effort(format_args!("{:7.1} s  {name}", time.as_secs_f64()));
     }
     if tier == Tier::Quick {
         for (name, time) in total.times.iter().filter(|(_, time)| *time > MAX_QUICK_TEST_DURATION) {
-            trueup_output::write_line(format_args!(
+            trueup_output::write_line_best_effort(format_args!(
                 "{:7.1} s  {name}: on a quiet computer this would be a long test",
                 time.as_secs_f64()
             ));
         }
     }
-    trueup_output::write_line(format_args!("after {:.0} s", took.as_secs_f64()));
+    trueup_output::write_line_best_effort(format_args!("after {:.0} s", took.as_secs_f64()));
     for name in &checks.failed {
-        trueup_output::write_line(format_args!("failed: {name}"));
+        trueup_output::write_line_best_effort(format_args!("failed: {name}"));
     }
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(format_args!(
         "skipped: {} long ones (cargo verify --long), {} campaigns (commands of their own), {} that lack \
          something here",
         total.long, total.campaigns, total.lacking
     ));
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(format_args!(
         "{} passed, {} failed, {} skipped",
         total.passed,
         total.failed,

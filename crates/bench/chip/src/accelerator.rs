@@ -6,16 +6,16 @@
 //! lines, are not seen here and cost nothing.
 
 /// Bytes of a line as a shift: 128 bits.
-const LINE_SHIFT: u32 = 4;
+const FLASH_LINE_SHIFT: u32 = 4;
 const CACHE_LINES: usize = 64;
 /// Lines of the flash, 1 MB.
-const FLASH_LINES: usize = 0x10_0000 >> LINE_SHIFT;
+const FLASH_LINE_COUNT: usize = 0x10_0000 >> FLASH_LINE_SHIFT;
 const NOT_CACHED: u8 = u8::MAX;
 
-const LATENCY_MASK: u32 = 7;
-const PREFETCH_ENABLE: u32 = 1 << 8;
-const INSTRUCTION_CACHE_ENABLE: u32 = 1 << 9;
-const INSTRUCTION_CACHE_RESET: u32 = 1 << 11;
+const ACR_LATENCY: u32 = 7;
+const ACR_PRFTEN: u32 = 1 << 8;
+const ACR_ICEN: u32 = 1 << 9;
+const ACR_ICRST: u32 = 1 << 11;
 
 /// The accelerator's memory.
 pub struct FlashAccelerator {
@@ -32,7 +32,7 @@ pub struct FlashAccelerator {
 impl Default for FlashAccelerator {
     fn default() -> FlashAccelerator {
         FlashAccelerator {
-            place: vec![NOT_CACHED; FLASH_LINES],
+            place: vec![NOT_CACHED; FLASH_LINE_COUNT],
             line: [0; CACHE_LINES],
             used: [0; CACHE_LINES],
             clock: 0,
@@ -45,29 +45,29 @@ impl Default for FlashAccelerator {
 impl FlashAccelerator {
     /// Cycles that the processor waits for the instruction at this offset of the flash, with this FLASH_ACR.
     pub fn fetch_wait_cycles(&mut self, offset: u32, acr: u32) -> u64 {
-        let line = offset >> LINE_SHIFT;
+        let line = offset >> FLASH_LINE_SHIFT;
         if line == self.current {
             return 0;
         }
         let follows = line == self.current.wrapping_add(1);
         self.current = line;
-        let is_brought = acr & PREFETCH_ENABLE != 0 && follows;
-        let is_kept = acr & INSTRUCTION_CACHE_ENABLE != 0 && self.look_up(line);
-        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & LATENCY_MASK) };
+        let is_brought = acr & ACR_PRFTEN != 0 && follows;
+        let is_kept = acr & ACR_ICEN != 0 && self.look_up_or_fill(line);
+        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & ACR_LATENCY) };
         self.waited += waits;
         waits
     }
 
     /// A write of FLASH_ACR: ICRST empties the cache.
     pub fn write_acr(&mut self, acr: u32) {
-        if acr & INSTRUCTION_CACHE_RESET != 0 {
+        if acr & ACR_ICRST != 0 {
             let waited = self.waited;
             *self = FlashAccelerator { waited, ..FlashAccelerator::default() };
         }
     }
 
     /// Looks a line up, and puts it into the cache where it is missing. Returns whether it was there.
-    fn look_up(&mut self, line: u32) -> bool {
+    fn look_up_or_fill(&mut self, line: u32) -> bool {
         self.clock += 1;
         let place = self.place[line as usize];
         if place != NOT_CACHED {
@@ -98,22 +98,24 @@ mod tests {
         assert_eq!(waits(&mut it, 5), 4 * 5);
         assert_eq!(waits(&mut it, 5), 4 * 5, "and again");
         assert_eq!(waits(&mut it, 0), 0, "at 30 MHz there is none");
-        assert_eq!(waits(&mut it, 5 | PREFETCH_ENABLE), 5, "only the first is not foreseen");
+        assert_eq!(waits(&mut it, 5 | ACR_PRFTEN), 5, "only the first is not foreseen");
     }
 
     #[test]
     fn the_cache_holds_64_lines_and_drops_the_one_that_was_not_used_for_longest() {
         let mut it = FlashAccelerator::default();
-        let acr = 5 | INSTRUCTION_CACHE_ENABLE;
+        let acr = 5 | ACR_ICEN;
         let all = |accelerator: &mut FlashAccelerator, lines: u32| {
-            (0..lines).map(|n| accelerator.fetch_wait_cycles(n << LINE_SHIFT, acr)).sum::<u64>()
+            (0..lines)
+                .map(|n| accelerator.fetch_wait_cycles(n << FLASH_LINE_SHIFT, acr))
+                .sum::<u64>()
         };
         assert_eq!(all(&mut it, 64), 64 * 5);
         assert_eq!(all(&mut it, 64), 0);
         // A loop of one line more than fits finds none of them.
         assert_eq!(all(&mut it, 65), 5);
         assert_eq!(all(&mut it, 65), 65 * 5);
-        it.write_acr(acr | INSTRUCTION_CACHE_RESET);
-        assert_eq!(it.fetch_wait_cycles(64 << LINE_SHIFT, acr), 5);
+        it.write_acr(acr | ACR_ICRST);
+        assert_eq!(it.fetch_wait_cycles(64 << FLASH_LINE_SHIFT, acr), 5);
     }
 }

@@ -3,7 +3,7 @@
 use crate::accelerator::FlashAccelerator;
 use crate::chip::rcc::registers::{RCC_CSR_PINRSTF, RCC_CSR_SFTRSTF};
 use crate::chip::{Chip, InjectedFaults, SharedState};
-use crate::chip::{FLAG_PROGRAMMING, FLAG_REPORT, FLAG_RESET};
+use crate::chip::{FLAG_NEW_FINDING, FLAG_PROGRAMMING_CHANGED, FLAG_RESET_REQUEST};
 use crate::elf;
 use crate::handler_timing::HandlerTimer;
 use crate::memory_map::{FLASH_BASE, FLASH_END, SRAM_BASE, SRAM_END, SYSTEM_MEMORY_BASE};
@@ -52,7 +52,7 @@ impl Peripherals for ChipAccess {
     fn program(&self, offset: u32, bytes: &[u8]) {
         self.access_chip(|chip| {
             chip.mark_dirty();
-            chip.flash_program(offset, bytes);
+            chip.program_flash(offset, bytes);
         });
     }
 }
@@ -348,7 +348,7 @@ impl Board {
             self.sleeps += 1;
             self.advance_chip();
             let interrupted = self.with_chip(|chip| chip.has_pending_interrupt());
-            if woken || interrupted || self.shared.flag.load(Relaxed) & FLAG_RESET != 0 {
+            if woken || interrupted || self.shared.flag.load(Relaxed) & FLAG_RESET_REQUEST != 0 {
                 break;
             }
         }
@@ -360,18 +360,18 @@ impl Board {
             self.upset = (0, 0);
         }
         let flag = self.shared.flag.swap(0, SeqCst);
-        if flag & FLAG_PROGRAMMING != 0 {
+        if flag & FLAG_PROGRAMMING_CHANGED != 0 {
             let on = self.with_chip(|chip| chip.flash.is_programming());
             self.processor.set_flash_writable(on);
         }
-        if flag & FLAG_REPORT != 0 {
+        if flag & FLAG_NEW_FINDING != 0 {
             let pc = self.processor.pc();
-            self.with_chip(|chip| chip.report.record_pc(pc));
+            self.with_chip(|chip| chip.report.assign_pc_to_new_findings(pc));
         }
         self.checked += 1;
-        if self.checked == FAULT_CHECK_INTERVAL_STEPS || flag & FLAG_RESET != 0 {
+        if self.checked == FAULT_CHECK_INTERVAL_STEPS || flag & FLAG_RESET_REQUEST != 0 {
             self.checked = 0;
-            self.poll_processor(flag & FLAG_RESET != 0);
+            self.poll_processor(flag & FLAG_RESET_REQUEST != 0);
         }
         if self.watch.log && self.now >= self.log_next {
             self.log_next = self.now + ms_to_ticks(1);
@@ -392,7 +392,7 @@ impl Board {
         self.with_chip(|chip| {
             for text in trouble {
                 chip.record_finding(Severity::Violation, text);
-                chip.report.record_pc(pc);
+                chip.report.assign_pc_to_new_findings(pc);
             }
         });
         if software || reset {
@@ -410,7 +410,7 @@ impl Board {
                 chip.update_interrupt_lines();
             });
             // The reset has ended programming.
-            self.shared.flag.fetch_or(FLAG_PROGRAMMING, Relaxed);
+            self.shared.flag.fetch_or(FLAG_PROGRAMMING_CHANGED, Relaxed);
         }
     }
 }

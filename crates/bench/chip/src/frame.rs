@@ -2,13 +2,13 @@
 //! and the protection that both ends of this link use (AUTOSAR E2E profile 5).
 
 /// The lower 18 bits of an extended identifier, which follow the flag of the extension.
-const EXTENSION_MASK: u32 = 0x3ffff;
+const ID_EXTENSION_MASK: u32 = 0x3ffff;
 /// The 15 bits of the checksum of a frame.
 const CRC15_MASK: u32 = 0x7fff;
 /// The generator polynomial of the checksum of a frame.
 const CRC15_POLYNOMIAL: u32 = 0x4599;
 /// CRC-16/CCITT-FALSE: the start value.
-const E2E_CRC_START: u16 = 0xffff;
+const E2E_CRC_INITIAL_VALUE: u16 = 0xffff;
 /// CRC-16/CCITT-FALSE: the highest bit.
 const E2E_CRC_TOP_BIT: u16 = 0x8000;
 /// CRC-16/CCITT-FALSE: the generator polynomial.
@@ -16,7 +16,7 @@ const E2E_CRC_POLYNOMIAL: u16 = 0x1021;
 
 /// A frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Frame {
+pub struct CanFrame {
     /// Its identifier.
     pub id: u32,
     /// The identifier has 29 bits instead of 11.
@@ -29,18 +29,21 @@ pub struct Frame {
     pub data: [u8; 8],
 }
 
-impl Frame {
+impl CanFrame {
     /// Returns a data frame with an identifier of 11 bits and at most eight bytes.
-    pub fn new(id: u32, data: &[u8]) -> Frame {
+    pub fn new(id: u32, data: &[u8]) -> CanFrame {
         let mut d = [0; 8];
         d[..data.len()].copy_from_slice(data);
-        Frame { id, ext: false, rtr: false, len: data.len() as u8, data: d }
+        CanFrame { id, ext: false, rtr: false, len: data.len() as u8, data: d }
     }
     /// Returns what decides on the bus: the lower goes first.
     pub fn arbitration_key(&self) -> u64 {
         let (id, ext) = (u64::from(self.id), u64::from(self.ext));
         if self.ext {
-            (id >> 18) << 21 | 3 << 19 | (id & u64::from(EXTENSION_MASK)) << 1 | u64::from(self.rtr)
+            (id >> 18) << 21
+                | 3 << 19
+                | (id & u64::from(ID_EXTENSION_MASK)) << 1
+                | u64::from(self.rtr)
         } else {
             id << 21 | u64::from(self.rtr) << 20 | ext
         }
@@ -53,7 +56,7 @@ impl Frame {
         if self.ext {
             put(self.id >> 18, 11);
             put(3, 2);
-            put(self.id & EXTENSION_MASK, 18);
+            put(self.id & ID_EXTENSION_MASK, 18);
             put(u32::from(self.rtr) << 2, 3);
         } else {
             put(self.id, 11);
@@ -95,7 +98,7 @@ impl Frame {
 
 /// AUTOSAR E2E profile 5: CRC-16/CCITT-FALSE over byte 2 to the end, then the data ID.
 pub fn compute_e2e_crc(id: u32, data: &[u8]) -> u16 {
-    let mut crc = E2E_CRC_START;
+    let mut crc = E2E_CRC_INITIAL_VALUE;
     for b in data[2..].iter().copied().chain([id as u8, (id >> 8) as u8]) {
         crc ^= u16::from(b) << 8;
         for _ in 0..8 {
@@ -106,11 +109,11 @@ pub fn compute_e2e_crc(id: u32, data: &[u8]) -> u16 {
 }
 
 /// Returns a protected frame: checksum, counter, and a body of at most five bytes.
-pub fn protected_frame(id: u32, counter: u8, body: &[u8]) -> Frame {
+pub fn build_protected_frame(id: u32, counter: u8, body: &[u8]) -> CanFrame {
     let mut d = [0u8; 8];
     d[2] = counter;
     d[3..3 + body.len()].copy_from_slice(body);
     let c = compute_e2e_crc(id, &d).to_le_bytes();
     d[..2].copy_from_slice(&c);
-    Frame::new(id, &d)
+    CanFrame::new(id, &d)
 }

@@ -31,4 +31,4 @@ pub(crate) const CONTROL_ID: u32 = 0x302;
 /// The positions of the axes, in the order X, Y, Z.
 pub(crate) const POSITION_IDS: [u32; 3] = [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID];
 /// Identifier of frames of strangers; the next one replaces an identifier of the link that was drawn by chance.
-pub(crate) const STRANGER_ID: u32 = 0x7f0;
+pub(crate) const FOREIGN_FRAME_ID: u32 = 0x7f0;

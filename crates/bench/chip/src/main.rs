@@ -2,7 +2,7 @@
 
 mod options;
 
-use options::{CommandLineOptions, parse_options, usage};
+use options::{CommandLineOptions, exit_with_usage, parse_options};
 use std::{
     collections::BTreeMap,
     fs,
@@ -35,7 +35,7 @@ const LOG_PERIOD_TICKS: u64 = ms_to_ticks(20);
 fn main() -> ExitCode {
     let options = parse_options();
     let image = fs::read(&options.image)
-        .unwrap_or_else(|error| usage(&format!("{}: {error}", options.image)));
+        .unwrap_or_else(|error| exit_with_usage(&format!("{}: {error}", options.image)));
     let symbols = SymbolTable::parse(&image);
     let mut board = build_board(&options, &image);
     let start = Instant::now();
@@ -50,7 +50,7 @@ fn main() -> ExitCode {
         }
     };
     if options.live {
-        play_from_stdin(&mut board, &mut live_until);
+        play_script_from_stdin(&mut board, &mut live_until);
     } else {
         live_until(&mut board, options.run);
     }
@@ -82,7 +82,7 @@ fn main() -> ExitCode {
 
 /// Lets another program play the world as it goes: the lines of a script, in the order of their times, and between
 /// them a time alone. The board then lives until that millisecond, and says so.
-fn play_from_stdin(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
+fn play_script_from_stdin(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
     for line in stdin().lines().map_while(Result::ok) {
         if let Ok(at) = line.trim().parse() {
             live_until(board, ms_to_ticks(at));

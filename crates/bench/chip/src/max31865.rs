@@ -42,7 +42,7 @@ impl RtdConverter {
             ..RtdConverter::default()
         }
     }
-    fn convert(&mut self, now: u64) {
+    fn update_conversions(&mut self, now: u64) {
         while self.ready_at <= now {
             let code = match self.celsius {
                 Some(t) => ((100.0 * (1.0 + 3.9083e-3 * t - 5.775e-7 * t * t)) / 430.0 * 32768.0)
@@ -69,7 +69,7 @@ impl RtdConverter {
         }
     }
     pub(crate) fn transfer_byte(&mut self, now: u64, out: u8, say: &mut Vec<String>) -> u8 {
-        self.convert(now);
+        self.update_conversions(now);
         let Some(a) = self.address else {
             self.address = Some(out & ADDRESS_MASK);
             self.write = out & ADDRESS_WRITE != 0;

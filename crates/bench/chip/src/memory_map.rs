@@ -129,7 +129,7 @@ pub(crate) const DMA2_BASE: u32 = 0x4002_6400;
 pub(crate) const DBGMCU_BASE: u32 = 0xe004_2000;
 
 /// Last address of the peripherals on APB1 and APB2.
-pub(crate) const APB_END: u32 = 0x4001_ffff;
+pub(crate) const APB_LAST: u32 = 0x4001_ffff;
 /// First address behind the timers that APB1 has in one block (TIM2 to TIM14).
 pub(crate) const APB1_TIMERS_END: u32 = 0x4000_2400;
 /// Last address of the three converters' own registers; behind it are the common ones.
@@ -139,7 +139,7 @@ pub(crate) const GPIO_LAST: u32 = 0x4002_23ff;
 /// Last address of the backup SRAM.
 pub(crate) const BACKUP_SRAM_LAST: u32 = 0x4002_4fff;
 /// Base address of the last kilobyte of the backup SRAM.
-pub(crate) const BACKUP_SRAM_LAST_KILOBYTE: u32 = 0x4002_4c00;
+pub(crate) const BACKUP_SRAM_LAST_KILOBYTE_BASE: u32 = 0x4002_4c00;
 /// First address behind the backup SRAM.
 pub(crate) const BACKUP_SRAM_END: u32 = 0x4002_5000;
 

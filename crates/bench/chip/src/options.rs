@@ -3,7 +3,7 @@
 use std::process::exit;
 use trueup_chip::{
     chip::InjectedFaults,
-    frame::Frame,
+    frame::CanFrame,
     time::{NEVER, ms_to_ticks},
     wire::Parity,
     world::{NOMINAL_SUPPLY_V, StimulusPlan},
@@ -77,10 +77,10 @@ pub fn parse_options() -> CommandLineOptions {
     let mut o = default_options();
     let mut args = std::env::args().skip(1);
     let number = |v: Option<String>, what: &str| -> u64 {
-        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
+        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| exit_with_usage(what))
     };
     let decimal = |v: Option<String>, what: &str| -> f64 {
-        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
+        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| exit_with_usage(what))
     };
     while let Some(a) = args.next() {
         match a.as_str() {
@@ -97,7 +97,7 @@ pub fn parse_options() -> CommandLineOptions {
             "--positions" => o.plan.positions = number(args.next(), &a),
             "--say" => {
                 let at = ms_to_ticks(number(args.next(), &a));
-                o.plan.says.push((at, parse_text(args.next())));
+                o.plan.says.push((at, parse_serial_text(args.next())));
             }
             "--frame" => {
                 let at = ms_to_ticks(number(args.next(), &a));
@@ -115,16 +115,16 @@ pub fn parse_options() -> CommandLineOptions {
             "--stray-flash-write" => o.faults.stray_write = ms_to_ticks(number(args.next(), &a)),
             "--upset" => {
                 let at = ms_to_ticks(number(args.next(), &a));
-                let to = args.next().unwrap_or_else(|| usage("--upset"));
+                let to = args.next().unwrap_or_else(|| exit_with_usage("--upset"));
                 let to = u32::from_str_radix(to.trim_start_matches("0x"), 16);
-                o.faults.upset = (at, to.unwrap_or_else(|_| usage("--upset")));
+                o.faults.upset = (at, to.unwrap_or_else(|_| exit_with_usage("--upset")));
             }
             "--adc-stalls" => o.faults.adc_stalls = ms_to_ticks(number(args.next(), &a)),
             "--supply" => o.supply = decimal(args.next(), &a),
             "--input" => {
                 let channel = number(args.next(), &a) as usize;
                 let volts = decimal(args.next(), &a);
-                *o.inputs.get_mut(channel).unwrap_or_else(|| usage(&a)) = volts;
+                *o.inputs.get_mut(channel).unwrap_or_else(|| exit_with_usage(&a)) = volts;
             }
             "--can-alone" => o.faults.can_alone = true,
             "--can-short" => o.faults.can_short = true,
@@ -136,16 +136,16 @@ pub fn parse_options() -> CommandLineOptions {
             "--bor" => o.bor = true,
             "--write-protected" => o.write_protected = true,
             "--ram-stuck" => {
-                let at = args.next().unwrap_or_else(|| usage("--ram-stuck"));
+                let at = args.next().unwrap_or_else(|| exit_with_usage("--ram-stuck"));
                 let at = u32::from_str_radix(at.trim_start_matches("0x"), 16);
-                o.ram_stuck = at.unwrap_or_else(|_| usage("--ram-stuck"));
+                o.ram_stuck = at.unwrap_or_else(|_| exit_with_usage("--ram-stuck"));
             }
             "--slow-flash" => o.slow_flash = true,
             "--serial" => o.ports[0] = Some(number(args.next(), &a) as u16),
             "--modbus" => o.ports[1] = Some(number(args.next(), &a) as u16),
             "--modbus-baud" => o.plc.0 = number(args.next(), &a) as f64,
             "--modbus-no-parity" => (o.plc.1, o.plc.2) = (Parity::None, 2),
-            "--low" => o.low.push(parse_pin(&args.next().unwrap_or_else(|| usage(&a)))),
+            "--low" => o.low.push(parse_pin(&args.next().unwrap_or_else(|| exit_with_usage(&a)))),
             "--serial-out" => o.serial_out = args.next(),
             "--script" => o.script = args.next(),
             "--live" => o.live = true,
@@ -156,12 +156,12 @@ pub fn parse_options() -> CommandLineOptions {
             "--masked" => o.masked = true,
             "--quiet" => o.quiet = true,
             "--trace" => o.trace = number(args.next(), &a),
-            _ if a.starts_with('-') || !o.image.is_empty() => usage(&a),
+            _ if a.starts_with('-') || !o.image.is_empty() => exit_with_usage(&a),
             _ => o.image = a,
         }
     }
     if o.image.is_empty() {
-        usage("no image");
+        exit_with_usage("no image");
     }
     o
 }
@@ -192,28 +192,32 @@ fn default_options() -> CommandLineOptions {
     }
 }
 
-fn parse_text(text: Option<String>) -> Vec<u8> {
-    text.unwrap_or_else(|| usage("--say")).replace("\\r", "\r").into_bytes()
+fn parse_serial_text(text: Option<String>) -> Vec<u8> {
+    text.unwrap_or_else(|| exit_with_usage("--say")).replace("\\r", "\r").into_bytes()
 }
 
 /// Returns a frame written as `302#0011`.
-fn parse_frame(text: Option<String>) -> Frame {
-    let text = text.unwrap_or_else(|| usage("--frame"));
-    let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
+fn parse_frame(text: Option<String>) -> CanFrame {
+    let text = text.unwrap_or_else(|| exit_with_usage("--frame"));
+    let (id, data) = text.split_once('#').unwrap_or_else(|| exit_with_usage("--frame"));
     let byte = |i: usize| u8::from_str_radix(&data[2 * i..2 * i + 2], 16);
-    let bytes: Vec<u8> =
-        (0..data.len() / 2).map(|i| byte(i).unwrap_or_else(|_| usage("--frame"))).collect();
-    Frame::new(u32::from_str_radix(id, 16).unwrap_or_else(|_| usage("--frame")), &bytes)
+    let bytes: Vec<u8> = (0..data.len() / 2)
+        .map(|i| byte(i).unwrap_or_else(|_| exit_with_usage("--frame")))
+        .collect();
+    CanFrame::new(
+        u32::from_str_radix(id, 16).unwrap_or_else(|_| exit_with_usage("--frame")),
+        &bytes,
+    )
 }
 
 /// Returns the port and number of a pin like `PC12`.
 fn parse_pin(name: &str) -> (usize, u32) {
-    let &[b'P', port @ b'A'..=b'I', ..] = name.as_bytes() else { usage(name) };
-    (usize::from(port - b'A'), name[2..].parse().unwrap_or_else(|_| usage(name)))
+    let &[b'P', port @ b'A'..=b'I', ..] = name.as_bytes() else { exit_with_usage(name) };
+    (usize::from(port - b'A'), name[2..].parse().unwrap_or_else(|_| exit_with_usage(name)))
 }
 
 /// Prints what is wrong and how the program is called, and ends it.
-pub fn usage(what: &str) -> ! {
+pub fn exit_with_usage(what: &str) -> ! {
     eprintln!(
         "{what}: see README.md\nusage: trueup-chip IMAGE.elf [--ms N] [--say MS TEXT] [--hse-dead] [--pll-dead] [--can-alone] [--can-short] [--serial PORT] …"
     );

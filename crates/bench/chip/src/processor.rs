@@ -270,8 +270,8 @@ impl Processor {
     /// crate takes it from there at the return and does not put it in: the rest of the block would have no condition
     /// (Armv7-M, B1.5.6).
     fn patch_stacked_it_state(&self, pc: u32, it_state: u32) {
-        const RETURN_ADDRESS_OFFSET: u32 = 24;
-        const XPSR_OFFSET: u32 = 28;
+        const STACKED_RETURN_ADDRESS_OFFSET: u32 = 24;
+        const STACKED_XPSR_OFFSET: u32 = 28;
         const EXC_RETURN_PSP: u32 = 1 << 2;
         /// The upper four bits of an EXC_RETURN (Armv7-M, B1.5.8).
         const EXC_RETURN_PREFIX: u32 = 0xf;
@@ -284,11 +284,16 @@ impl Processor {
         let attributes = MemAttrs::DEFAULT;
         let read = |offset: u32| self.space.read(u64::from(frame + offset), Width::U32, attributes);
         // Otherwise the instruction was done: a return into an outer handler, or the last of its block.
-        if read(RETURN_ADDRESS_OFFSET) == Ok(pc.into())
-            && let Ok(stacked) = read(XPSR_OFFSET)
+        if read(STACKED_RETURN_ADDRESS_OFFSET) == Ok(pc.into())
+            && let Ok(stacked) = read(STACKED_XPSR_OFFSET)
         {
             let whole = stacked | u64::from(it_state);
-            let _ = self.space.write(u64::from(frame + XPSR_OFFSET), Width::U32, whole, attributes);
+            let _ = self.space.write(
+                u64::from(frame + STACKED_XPSR_OFFSET),
+                Width::U32,
+                whole,
+                attributes,
+            );
         }
     }
 

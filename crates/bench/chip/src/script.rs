@@ -90,7 +90,7 @@ impl Script {
         self.rng ^= self.rng << 17;
         self.rng >> 11
     }
-    pub(crate) fn random_fraction(&mut self) -> f64 {
+    pub(crate) fn next_random_fraction(&mut self) -> f64 {
         self.next_random() as f64 / (1u64 << 53) as f64
     }
     /// Returns the sensor's code; `scale`: what one code has become, with a supply that is not as it should be.
@@ -100,14 +100,14 @@ impl Script {
             return self.pattern[self.turn % self.pattern.len()];
         }
         if let Some(n) = self.chatter {
-            return (self.random_fraction() * (n + 1.0)) as u32;
+            return (self.next_random_fraction() * (n + 1.0)) as u32;
         }
         let mean = self.code
             + self.slope * now.saturating_sub(self.since) as f64 / ms_to_ticks(1000) as f64;
         if self.spike > 0.0 && self.next_random().is_multiple_of(200) {
             return if self.next_random() & 1 == 0 { 4095 } else { 0 };
         }
-        let r = (self.random_fraction() + self.random_fraction() - 1.0) * self.noise;
+        let r = (self.next_random_fraction() + self.next_random_fraction() - 1.0) * self.noise;
         (scale * mean + r + 0.5).clamp(0.0, 4095.0) as u32
     }
 }

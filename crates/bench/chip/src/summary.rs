@@ -2,7 +2,7 @@
 
 use crate::{
     chip::Chip,
-    frame::{Frame, compute_e2e_crc},
+    frame::{CanFrame, compute_e2e_crc},
     link::*,
     report::Severity,
     time::ticks_to_seconds,
@@ -60,11 +60,11 @@ fn rs485_responses(wire: &SerialLine) -> Vec<(u64, String)> {
 }
 
 /// `OffsetZ`: position of the offset, in 1/100 µm.
-const OFFSET_SHIFT: u32 = 24;
+const OFFSET_Z_SHIFT: u32 = 24;
 /// `OffsetZ`: bits of the offset.
-const OFFSET_BITS: u32 = 20;
+const OFFSET_Z_BITS: u32 = 20;
 /// `OffsetZ`: the offset, shifted down.
-const OFFSET_MASK: u64 = 0xf_ffff;
+const OFFSET_Z_MASK: u64 = 0xf_ffff;
 /// `OffsetZ`: position of the quality.
 const QUALITY_SHIFT: u32 = 44;
 /// `OffsetZ`: the quality, shifted down.
@@ -105,7 +105,7 @@ pub fn print_summary(c: &Chip, quiet: bool) {
 }
 
 /// The frames of each identifier, with their times.
-type FramesById<'f> = BTreeMap<u32, Vec<(u64, &'f Frame)>>;
+type FramesById<'f> = BTreeMap<u32, Vec<(u64, &'f CanFrame)>>;
 
 /// Prints the figures of each unit.
 fn print_unit_statistics(c: &Chip) {
@@ -218,7 +218,7 @@ fn print_offset_changes(by: &FramesById<'_>) {
             println!(
                 "   OffsetZ at {:9.3} ms: {:8.2} µm, quality {q}, flags {flags:#04x}, age {}",
                 ticks_to_seconds(*t) * 1e3,
-                sign_extend(v >> OFFSET_SHIFT & OFFSET_MASK, OFFSET_BITS) as f64 / 100.0,
+                sign_extend(v >> OFFSET_Z_SHIFT & OFFSET_Z_MASK, OFFSET_Z_BITS) as f64 / 100.0,
                 f.data[7]
             );
         }
@@ -228,7 +228,7 @@ fn print_offset_changes(by: &FramesById<'_>) {
         println!(
             "   OffsetZ at {:9.3} ms: {:8.2} µm, quality {}, flags {:#04x}, age {} (last)",
             ticks_to_seconds(*t) * 1e3,
-            sign_extend(v >> OFFSET_SHIFT & OFFSET_MASK, OFFSET_BITS) as f64 / 100.0,
+            sign_extend(v >> OFFSET_Z_SHIFT & OFFSET_Z_MASK, OFFSET_Z_BITS) as f64 / 100.0,
             v >> QUALITY_SHIFT & QUALITY_MASK,
             f.data[6],
             f.data[7]

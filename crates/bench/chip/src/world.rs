@@ -1,7 +1,7 @@
 //! The world outside the chip: the sensor, the thermometers, the CNC on the bus, the host on the serial line.
 
 use crate::{
-    frame::{Frame, protected_frame},
+    frame::{CanFrame, build_protected_frame},
     max31865::RtdConverter,
     script::{RANDOM_SEED, Script},
     time::{NEVER, ms_to_ticks},
@@ -53,7 +53,7 @@ pub struct StimulusPlan {
     /// Positions a second for each of X, Y and Z.
     pub positions: u64,
     /// More frames for the bus, as (when, frame): SDO, strangers.
-    pub frames: Vec<(u64, Frame)>,
+    pub frames: Vec<(u64, CanFrame)>,
 }
 
 /// A bit for each of the eight places of a thermometer.
@@ -88,9 +88,9 @@ pub struct World {
     /// When the world's next millisecond comes.
     pub next_at: u64,
     /// Frames that others will send: from when on, and which.
-    pub queue: VecDeque<(u64, Frame)>,
+    pub queue: VecDeque<(u64, CanFrame)>,
     /// Frames that the board has sent, with the time of their end.
-    pub log: Vec<(u64, Frame)>,
+    pub log: Vec<(u64, CanFrame)>,
     /// The script, if there is one.
     pub script: Option<Script>,
     pub(crate) counters: [u8; 5],
@@ -111,7 +111,7 @@ impl World {
         let mut rs485 = SerialLine::new(19_200.0);
         rs485.parity = Parity::Even;
         rs485.drive = Some((1, 12));
-        let mut queue: VecDeque<(u64, Frame)> = plan.frames.iter().copied().collect();
+        let mut queue: VecDeque<(u64, CanFrame)> = plan.frames.iter().copied().collect();
         queue.make_contiguous().sort_by_key(|f| f.0);
         World {
             next_at: ms_to_ticks(1),
@@ -174,22 +174,22 @@ impl World {
     pub(crate) fn next_can_frame_time(&self) -> u64 {
         self.queue.front().map_or(NEVER, |f| f.0)
     }
-    pub(crate) fn peek_can_frame(&self, now: u64) -> Option<Frame> {
+    pub(crate) fn peek_can_frame(&self, now: u64) -> Option<CanFrame> {
         self.queue.front().filter(|f| f.0 <= now).map(|f| f.1)
     }
     pub(crate) fn pop_can_frame(&mut self) {
         self.queue.pop_front();
     }
-    pub(crate) fn record_frame(&mut self, now: u64, frame: Frame) {
+    pub(crate) fn record_can_frame(&mut self, now: u64, frame: CanFrame) {
         self.log.push((now, frame));
     }
     pub(crate) fn send_protected_frame(&mut self, now: u64, id: u32, counter: usize, body: &[u8]) {
-        let frame = protected_frame(id, self.counters[counter], body);
+        let frame = build_protected_frame(id, self.counters[counter], body);
         self.counters[counter] = self.counters[counter].wrapping_add(1);
-        self.queue_frame(now, frame);
+        self.queue_can_frame(now, frame);
     }
     /// Puts a frame of the CNC's on the bus at that time.
-    pub(crate) fn queue_frame(&mut self, at: u64, f: Frame) {
+    pub(crate) fn queue_can_frame(&mut self, at: u64, f: CanFrame) {
         let n = self.queue.partition_point(|q| q.0 <= at);
         self.queue.insert(n, (at, f));
     }

@@ -20,7 +20,7 @@ use trueup_machine::{
 use trueup_numerics::line::{ErrorStatistics, fit_line};
 
 use crate::{
-    Progress, bench,
+    ProgressCallback, bench,
     boards::BoardSource,
     playback::{PlaybackRecord, PlaybackTiming, check_offsets, play},
 };
@@ -34,7 +34,7 @@ const MAX_PLAYBACK_S: f64 = 60.0;
 
 /// Input of act one.
 #[derive(Clone, Debug)]
-pub struct ActOneInput<'a> {
+pub struct MeasuredRunInput<'a> {
     /// The machine file, and where it came from.
     pub source: &'a str,
     /// For errors.
@@ -68,7 +68,7 @@ pub struct ResidualStatistics {
 }
 
 /// Result of act one.
-pub struct ActOneResult {
+pub struct MeasuredRunResult {
     /// Diagnosis of all readings.
     pub diagnosis: Diagnosis,
     /// The machine file with what was found.
@@ -99,11 +99,11 @@ pub struct ActOneResult {
 ///
 /// # Errors
 /// The data are not comparable with the machine file, or a board ends.
-pub fn run_act_one(
+pub fn run_measured_run_demo(
     boards: &BoardSource,
-    asked: &ActOneInput<'_>,
-    progress: &mut Progress<'_>,
-) -> Result<ActOneResult> {
+    asked: &MeasuredRunInput<'_>,
+    progress: &mut ProgressCallback<'_>,
+) -> Result<MeasuredRunResult> {
     let (source, mut notes) = bench::connect_inputs(asked.source, asked.run)?;
     let machine = MachineFile::parse(&source, asked.path)?;
     let (run, run_notes) =
@@ -114,7 +114,7 @@ pub fn run_act_one(
     }
     let run: &RunFile = &run;
     let options = DiagnosisOptions { quantity: asked.quantity, ..DiagnosisOptions::default() };
-    let named = |run: &RunFile, progress: &mut Progress<'_>| {
+    let named = |run: &RunFile, progress: &mut ProgressCallback<'_>| {
         diagnose_with_options(&machine, std::slice::from_ref(run), &[], options, progress)
     };
     let diagnosis = named(run, &mut |what, share| progress(what, 0.2 * share))?;
@@ -183,7 +183,7 @@ pub fn run_act_one(
         .collect();
     let column_of = |of: fn(&ReadingResult) -> f64| rows.iter().map(of).collect::<Vec<f64>>();
     let line = fit_line(&column_of(|row| row.bridge_um), &column_of(|row| row.dial_um));
-    Ok(ActOneResult {
+    Ok(MeasuredRunResult {
         over: choose_abscissa(run, measured, &before),
         before: residual_statistics(&rows, quantity, |row| row.bridge_um)?,
         after: residual_statistics(&rows, quantity, |row| row.calibrated_um)?,

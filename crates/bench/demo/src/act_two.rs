@@ -21,7 +21,7 @@ use trueup_machine::{
 use trueup_twin::noise::rms;
 
 use crate::{
-    Progress, bench,
+    ProgressCallback, bench,
     boards::{BoardSource, StartedBoard},
     playback::{PlaybackRecord, PlaybackTiming, max_playback_speedup, play},
 };
@@ -46,7 +46,7 @@ pub struct FaultCauses {
 
 /// Result of act two, in the form of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
-pub struct Outcome {
+pub struct HiddenFaultOutcome {
     /// The seed that repeats it.
     pub seed: u64,
     /// The kind of machine.
@@ -81,9 +81,9 @@ pub struct Outcome {
 }
 
 /// Act two, with what its pictures need.
-pub struct ActTwoResult {
+pub struct HiddenFaultResult {
     /// The result, as in `summary.json`.
-    pub outcome: Outcome,
+    pub outcome: HiddenFaultOutcome,
     /// The diagnosis.
     pub diagnosis: Diagnosis,
     /// Notes on how it was played, a sentence each.
@@ -99,11 +99,11 @@ pub struct ActTwoResult {
 ///
 /// # Errors
 /// A board ends, or the record cannot be compared.
-pub fn run_act_two(
+pub fn run_hidden_fault_demo(
     boards: &BoardSource,
     hidden: &SeparableFaultMachine,
-    progress: &mut Progress<'_>,
-) -> Result<ActTwoResult> {
+    progress: &mut ProgressCallback<'_>,
+) -> Result<HiddenFaultResult> {
     let plant = &hidden.plant;
     let quantity = Quantity::ALL
         .into_iter()
@@ -173,8 +173,8 @@ pub fn run_act_two(
     let promised_reduction = 1.0 - after / before.max(f64::MIN_POSITIVE);
     let (missed, wrong) = score_findings(&faults, &report.findings);
     let envelope = true_and_predicted_effect(hidden, &first, &source, &extended, quantity)?;
-    Ok(ActTwoResult {
-        outcome: Outcome {
+    Ok(HiddenFaultResult {
+        outcome: HiddenFaultOutcome {
             seed: hidden.seed,
             machine: plant.kind.name(),
             gap: hidden.gap,

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use trueup_core::bridge::Input;
+use trueup_core::bridge::TickInput;
 use trueup_emulator::board::VirtualBoard;
 use trueup_link::frame::Frame;
 use trueup_machine::compile::CompiledCalibration;
@@ -40,7 +40,7 @@ impl SteppedBoard for InProcessBoard<'_> {
                 // What is refused is counted by the node, as on the board.
                 self.0.receive(Interface::Can, frame).ok();
             }
-            let input = Input {
+            let input = TickInput {
                 codes: Some(&block.codes),
                 speed: block.speed,
                 temperatures: Some(&block.temperatures),

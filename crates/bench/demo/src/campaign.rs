@@ -7,7 +7,7 @@ use anyhow::Result;
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 
 use crate::{
-    act_two::{Outcome, run_act_two},
+    act_two::{HiddenFaultOutcome, run_hidden_fault_demo},
     boards::BoardSource,
 };
 
@@ -16,18 +16,18 @@ const REDUCTION_TOLERANCE: f64 = 0.05;
 
 /// Figures over seeds.
 #[derive(Clone, Debug, Default)]
-pub struct Campaign {
+pub struct CampaignStatistics {
     /// Result of each seed.
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<HiddenFaultOutcome>,
 }
 
-impl Campaign {
+impl CampaignStatistics {
     /// Plays this machine; returns its line.
     ///
     /// # Errors
     /// A board ends.
     pub fn play(&mut self, boards: &BoardSource, hidden: &SeparableFaultMachine) -> Result<String> {
-        let outcome = run_act_two(boards, hidden, &mut |_, _| {})?.outcome;
+        let outcome = run_hidden_fault_demo(boards, hidden, &mut |_, _| {})?.outcome;
         let line = outcome.format_row();
         self.outcomes.push(outcome);
         Ok(line)
@@ -36,7 +36,7 @@ impl Campaign {
     /// Returns the figures.
     #[must_use]
     pub fn format_summary(&self) -> String {
-        let count = |is: &dyn Fn(&Outcome) -> bool| {
+        let count = |is: &dyn Fn(&HiddenFaultOutcome) -> bool| {
             self.outcomes.iter().filter(|outcome| is(outcome)).count()
         };
         let machines = self.outcomes.len();
@@ -48,7 +48,7 @@ impl Campaign {
             .sum();
         let wrong: usize = self.outcomes.iter().map(|outcome| outcome.wrong.len()).sum();
         let (right, kept) =
-            (count(&|outcome| outcome.all_right), count(&Outcome::is_within_tolerance));
+            (count(&|outcome| outcome.all_right), count(&HiddenFaultOutcome::is_within_tolerance));
         let harm = count(&|outcome| outcome.tool_rms_after_um > 1.05 * outcome.tool_rms_before_um);
         format!(
             "{machines} machines: all right in {right} ({:.1} %); {wrong} wrong names of {claimed} claimed \
@@ -61,7 +61,7 @@ impl Campaign {
     }
 }
 
-impl Outcome {
+impl HiddenFaultOutcome {
     /// Returns whether the tool has got what was promised.
     #[must_use]
     pub fn is_within_tolerance(&self) -> bool {

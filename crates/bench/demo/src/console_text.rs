@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use trueup_diagnose::{Diagnosis, report::Finding};
 
 use crate::{
-    act_one::ActOneResult,
-    act_two::{ActTwoResult, Outcome},
+    act_one::MeasuredRunResult,
+    act_two::{HiddenFaultOutcome, HiddenFaultResult},
 };
 
 /// A table of more readings is left to the page.
@@ -60,7 +60,7 @@ pub(crate) fn format_findings(diagnosis: &Diagnosis) -> String {
     text
 }
 
-impl ActOneResult {
+impl MeasuredRunResult {
     /// Act one on the screen.
     #[must_use]
     pub fn to_text(&self) -> String {
@@ -120,7 +120,7 @@ impl ActOneResult {
     }
 }
 
-impl ActTwoResult {
+impl HiddenFaultResult {
     /// Act two on the screen.
     #[must_use]
     pub fn to_text(&self) -> String {
@@ -151,7 +151,7 @@ impl ActTwoResult {
     }
 }
 
-impl Outcome {
+impl HiddenFaultOutcome {
     /// Returns whether it was right, and what it was worth, in sentences.
     #[must_use]
     pub(crate) fn describe_outcome(&self) -> String {

@@ -29,4 +29,4 @@ pub mod playback;
 pub mod summary;
 
 /// Receives what is being done, and how far it is, 0…1 (NaN: as before).
-pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
+pub type ProgressCallback<'p> = dyn FnMut(&str, f64) + 'p;

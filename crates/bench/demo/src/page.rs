@@ -2,36 +2,36 @@
 
 use trueup_diagnose::{Diagnosis, Verdict, report::Finding};
 use trueup_page::{
-    BarChart, Chart, Colour, HtmlTable, Page, Series, choose_time_unit, format_micrometres,
-    format_significant,
+    BarChart, Chart, ChartSeries, ColourRole, HtmlTable, Page, choose_time_unit,
+    format_micrometres, format_significant,
 };
 
-use crate::{act_one::ActOneResult, act_two::ActTwoResult, console_text};
+use crate::{act_one::MeasuredRunResult, act_two::HiddenFaultResult, console_text};
 
 /// A difference of BIC from which two causes are clearly distinguished.
-const CLEAR_BIC_DIFFERENCE: f64 = 6.0;
+const MIN_STRONG_BIC_DIFFERENCE: f64 = 6.0;
 /// A table shows no more rows than that.
 const MAX_TABLE_ROWS: usize = 40;
 
 /// Returns the page of one act or both.
 #[must_use]
-pub fn render_page(one: &ActOneResult, two: Option<&ActTwoResult>) -> String {
+pub fn render_page(one: &MeasuredRunResult, two: Option<&HiddenFaultResult>) -> String {
     let mut page =
         Page::new(&format!("What is wrong with {}, and what a bridge makes of it", one.machine));
-    add_act_one(&mut page, one);
+    add_measured_run_section(&mut page, one);
     if let Some(two) = two {
-        add_act_two(&mut page, two);
+        add_hidden_fault_section(&mut page, two);
     }
     page.to_html()
 }
 
 /// Returns the picture of act two alone, for a page of text: the error at the tool on another day.
 #[must_use]
-pub fn act_two_svg(two: &ActTwoResult) -> String {
-    second_day_chart(two).standalone_svg()
+pub fn hidden_fault_svg(two: &HiddenFaultResult) -> String {
+    second_day_chart(two).to_standalone_svg()
 }
 
-fn add_act_two(page: &mut Page, two: &ActTwoResult) {
+fn add_hidden_fault_section(page: &mut Page, two: &HiddenFaultResult) {
     let it = &two.outcome;
     page.add_heading(&format!("A hidden fault, seed {}", it.seed));
     page.add_paragraph(&format!(
@@ -54,7 +54,10 @@ fn add_act_two(page: &mut Page, two: &ActTwoResult) {
         ),
     ]);
     add_verdict(page, &two.diagnosis);
-    page.add_charts(&[second_day_chart(two).to_figure(), envelope_chart(two).to_figure()]);
+    page.add_charts(&[
+        second_day_chart(two).to_figure(),
+        true_and_predicted_effect_chart(two).to_figure(),
+    ]);
     page.add_subheading("The envelope opened");
     let mut table = HtmlTable::new(&["hidden", "size", "named by", "found", "value", "95 %"]);
     for fault in &it.faults {
@@ -96,7 +99,7 @@ fn add_act_two(page: &mut Page, two: &ActTwoResult) {
     page.add_list(&two.notes);
 }
 
-fn second_day_chart(two: &ActTwoResult) -> Chart {
+fn second_day_chart(two: &HiddenFaultResult) -> Chart {
     let (x, seconds) = time_axis(&two.second_day);
     let points = |of: usize| two.second_day.iter().map(|row| [row[0] / seconds, row[of]]).collect();
     Chart {
@@ -104,13 +107,13 @@ fn second_day_chart(two: &ActTwoResult) -> Chart {
         x,
         y: "error, µm".into(),
         series: vec![
-            Series::dots("as it was", Colour::Before, points(1)),
-            Series::dots("with what was found", Colour::After, points(2)),
+            ChartSeries::dots("as it was", ColourRole::Before, points(1)),
+            ChartSeries::dots("with what was found", ColourRole::After, points(2)),
         ],
     }
 }
 
-fn envelope_chart(two: &ActTwoResult) -> Chart {
+fn true_and_predicted_effect_chart(two: &HiddenFaultResult) -> Chart {
     let (x, seconds) = time_axis(&two.envelope);
     let points = |of: usize| two.envelope.iter().map(|row| [row[0] / seconds, row[of]]).collect();
     Chart {
@@ -118,8 +121,8 @@ fn envelope_chart(two: &ActTwoResult) -> Chart {
         x,
         y: "µm".into(),
         series: vec![
-            Series::dots("hidden", Colour::Truth, points(1)),
-            Series::dots("found", Colour::After, points(2)),
+            ChartSeries::dots("hidden", ColourRole::Truth, points(1)),
+            ChartSeries::dots("found", ColourRole::After, points(2)),
         ],
     }
 }
@@ -129,7 +132,7 @@ fn time_axis(rows: &[[f64; 3]]) -> (String, f64) {
     (format!("time, {unit}"), seconds)
 }
 
-fn add_act_one(page: &mut Page, one: &ActOneResult) {
+fn add_measured_run_section(page: &mut Page, one: &MeasuredRunResult) {
     add_verdict(page, &one.diagnosis);
     page.add_key_figures(&[
         (
@@ -149,7 +152,7 @@ fn add_act_one(page: &mut Page, one: &ActOneResult) {
         one.frames[0], one.frames[1], one.board_s
     ));
     page.add_list(&one.notes);
-    page.add_charts(&render_charts(one));
+    page.add_charts(&render_measured_run_charts(one));
     add_findings(page, &one.diagnosis.report.findings);
     let mut table =
         HtmlTable::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
@@ -182,11 +185,11 @@ pub(crate) fn add_verdict(page: &mut Page, diagnosis: &Diagnosis) {
     page.add_card(state, &heading, &sentences);
 }
 
-fn render_charts(one: &ActOneResult) -> Vec<String> {
+fn render_measured_run_charts(one: &MeasuredRunResult) -> Vec<String> {
     let (x, at) = &one.over;
     let series = |name: &str, colour, of: fn(&crate::act_one::ReadingResult) -> f64| {
         let points = at.iter().zip(&one.rows).map(|(at, row)| [*at, of(row)]).collect();
-        Series::dots(name, colour, points)
+        ChartSeries::dots(name, colour, points)
     };
     let chart = |title: &str, y: &str, series| {
         Chart { title: title.into(), x: x.clone(), y: y.into(), series }.to_figure()
@@ -196,17 +199,17 @@ fn render_charts(one: &ActOneResult) -> Vec<String> {
             "Error that the bridge leaves",
             "error, µm",
             vec![
-                series("as it is", Colour::Before, |row| row.dial_um - row.bridge_um),
-                series("extended", Colour::After, |row| row.dial_um - row.calibrated_um),
+                series("as it is", ColourRole::Before, |row| row.dial_um - row.bridge_um),
+                series("extended", ColourRole::After, |row| row.dial_um - row.calibrated_um),
             ],
         ),
         chart(
             "What was measured, and what the bridge says",
             "µm",
             vec![
-                series("measured", Colour::Measured, |row| row.dial_um),
-                series("as it is", Colour::Before, |row| row.bridge_um),
-                series("extended", Colour::After, |row| row.calibrated_um),
+                series("measured", ColourRole::Measured, |row| row.dial_um),
+                series("as it is", ColourRole::Before, |row| row.bridge_um),
+                series("extended", ColourRole::After, |row| row.calibrated_um),
             ],
         ),
     ]
@@ -245,9 +248,12 @@ pub(crate) fn add_findings(page: &mut Page, findings: &[Finding]) {
         bars.truncate(5);
         let title = "How much worse another cause explains the same readings (difference of BIC; from 6 \
                      on it is clear)";
-        page.add_charts(&[
-            BarChart { title: title.into(), bars, clear: CLEAR_BIC_DIFFERENCE }.to_figure()
-        ]);
+        page.add_charts(&[BarChart {
+            title: title.into(),
+            bars,
+            clear: MIN_STRONG_BIC_DIFFERENCE,
+        }
+        .to_figure()]);
         page.add_paragraph(&format!("To measure next: {}", finding.next_test));
     }
 }

@@ -5,7 +5,7 @@
 
 use anyhow::{Context as _, Result, bail};
 use trueup_core::{
-    cnc::{Control, Output, Quality, Spindle},
+    cnc::{Control, OffsetQuality, Output, SpindleState},
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
     units::Rpm,
@@ -123,7 +123,7 @@ pub fn play(
 ) -> Result<PlaybackRecord> {
     // A second for each row: only the order matters here.
     let replay = Replay::new(&without_timestamps(run)?, machine, 1.0)?;
-    let mut cnc = Player::new(machine, pace);
+    let mut cnc = CncPlayer::new(machine, pace);
     let loads = run.column("load_n");
     let load_n = |row: usize| {
         let newton = loads.map_or(0.0, |loads| loads[row]);
@@ -134,7 +134,7 @@ pub fn play(
     cnc.hold_snapshot(bridge, &first, 0.0, FIRST_ROW_TIME_MS, &|_| first.temperatures)?;
     let mut played = PlaybackRecord {
         offset_um: vec![None; run.row_count()],
-        quality: vec![Quality::Off as u8; run.row_count()],
+        quality: vec![OffsetQuality::Off as u8; run.row_count()],
         ..PlaybackRecord::default()
     };
     let mut passed_s = 0.0;
@@ -177,7 +177,7 @@ fn without_timestamps(run: &RunFile) -> Result<RunFile> {
 }
 
 /// The CNC's part, and the front end's.
-struct Player {
+struct CncPlayer {
     front_end: FrontEnd,
     stand_in: CncEmulator,
     heard: ReceivedFrames,
@@ -190,7 +190,7 @@ struct Player {
     counter: u8,
 }
 
-impl Player {
+impl CncPlayer {
     fn new(machine: &Machine, pace: &PlaybackTiming) -> Self {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
         let model = machine.spindle.sensor.as_ref();
@@ -219,7 +219,7 @@ impl Player {
         load_n: f64,
         ms: u32,
         temperatures: &dyn Fn(f64) -> RawTemperatures,
-    ) -> Result<Option<(Option<[f64; 3]>, Quality)>> {
+    ) -> Result<Option<(Option<[f64; 3]>, OffsetQuality)>> {
         let mean_from = ms - (ms / 5).clamp(1.min(ms), AVERAGING_WINDOW_MS);
         let (mut outputs, mut passed) = (Vec::new(), 0);
         while passed < ms {
@@ -250,7 +250,8 @@ impl Player {
             let control = Control { engage, referenced: true, ..Control::default() };
             frames[4] = Some(frames::encode_control(control, self.counter));
         } else if self.ms % 20 == 10 {
-            let spindle = Spindle { speed: now.speed.unwrap_or_default(), load_n: load_n as i16 };
+            let spindle =
+                SpindleState { speed: now.speed.unwrap_or_default(), load_n: load_n as i16 };
             frames[4] = Some(frames::encode_spindle(spindle, self.counter));
             self.counter = self.counter.wrapping_add(1);
         }
@@ -292,12 +293,13 @@ fn temperature_changes_c(run: &RunFile) -> Vec<f64> {
 /// There is no time.
 pub(crate) fn max_playback_speedup(run: &RunFile) -> Result<f64> {
     /// Change that a board takes at once, in K.
-    const MAX_STEP_C: f64 = 0.5;
+    const MAX_TEMPERATURE_STEP_C: f64 = 0.5;
     let times = run.require_column("time_s")?;
     let changes = temperature_changes_c(run);
-    let rows = times.windows(2).zip(&changes[1..]).filter(|(_, c)| **c > MAX_STEP_C);
-    let most =
-        rows.map(|(pair, c)| TEMPERATURE_SLEW_C_PER_S * (pair[1] - pair[0]) / (c - MAX_STEP_C));
+    let rows = times.windows(2).zip(&changes[1..]).filter(|(_, c)| **c > MAX_TEMPERATURE_STEP_C);
+    let most = rows.map(|(pair, c)| {
+        TEMPERATURE_SLEW_C_PER_S * (pair[1] - pair[0]) / (c - MAX_TEMPERATURE_STEP_C)
+    });
     Ok(most.fold(f64::INFINITY, f64::min))
 }
 
@@ -315,7 +317,7 @@ fn interpolate_temperatures(
     })
 }
 
-fn mean_output(outputs: &[Output]) -> Option<(Option<[f64; 3]>, Quality)> {
+fn mean_output(outputs: &[Output]) -> Option<(Option<[f64; 3]>, OffsetQuality)> {
     let quality =
         outputs.iter().map(|output| output.quality).max_by_key(|quality| *quality as u8)?;
     let mut sum_nm = [0.0; 3];

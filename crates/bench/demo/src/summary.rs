@@ -4,13 +4,13 @@ use serde::Serialize;
 use trueup_diagnose::report::Finding;
 
 use crate::{
-    act_one::{ActOneResult, ReadingResult, ResidualStatistics},
-    act_two::Outcome,
+    act_one::{MeasuredRunResult, ReadingResult, ResidualStatistics},
+    act_two::HiddenFaultOutcome,
 };
 
 /// The figures.
 #[derive(Debug, Serialize)]
-pub struct Summary<'a> {
+pub struct DemoSummary<'a> {
     /// `virtual`: the firmware ran on the emulated board.
     pub board: &'static str,
     /// Frames with offsets that the CNC received.
@@ -33,7 +33,7 @@ pub struct Summary<'a> {
     pub hints: &'a [String],
     /// Act two; absent where the user's own data were played alone.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub hidden: Option<&'a Outcome>,
+    pub hidden: Option<&'a HiddenFaultOutcome>,
     /// How long it took, in s.
     pub wall_s: f64,
 }
@@ -51,12 +51,12 @@ pub struct CalibrationFigures {
     pub loo_max_um: f64,
 }
 
-impl<'a> Summary<'a> {
+impl<'a> DemoSummary<'a> {
     /// Returns the figures of act one and of act two, played on a board of this name.
     #[must_use]
     pub fn new(
-        one: &'a ActOneResult,
-        hidden: Option<&'a Outcome>,
+        one: &'a MeasuredRunResult,
+        hidden: Option<&'a HiddenFaultOutcome>,
         board: &'static str,
         wall_s: f64,
     ) -> Self {

@@ -98,7 +98,7 @@ fn passes_within_three_turns(growth: f64, time: f64) {
         }
         assert!(
             acceptance
-                .render_html("m", &trueup_accept::Origin::default(), &[])
+                .render_html("m", &trueup_accept::Provenance::default(), &[])
                 .contains("Not passed")
         );
         source = acceptance.adjusted_machine_file().expect("it says what to change").to_string();

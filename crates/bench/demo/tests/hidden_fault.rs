@@ -2,13 +2,15 @@
 //! promised. Many seeds are a campaign of its own.
 
 use trueup_campaigns::{faulty_machine::SeparableFaultMachine, physical::PhysicalFault};
-use trueup_demo::{act_two::run_act_two, boards::BoardSource, campaign::Campaign};
+use trueup_demo::{
+    act_two::run_hidden_fault_demo, boards::BoardSource, campaign::CampaignStatistics,
+};
 
 #[test]
 fn a_hidden_fault_is_named_and_another_day_is_better() {
     let hidden = SeparableFaultMachine::draw(1).expect("a machine that can be diagnosed");
-    let two =
-        run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
+    let two = run_hidden_fault_demo(&BoardSource::InProcess, &hidden, &mut |_, _| {})
+        .expect("it runs through");
     let it = &two.outcome;
     println!("{}", it.format_row());
     assert!(it.all_right, "{}", it.format_row());
@@ -24,10 +26,10 @@ fn a_hidden_fault_is_named_and_another_day_is_better() {
 #[test]
 fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
     let hidden =
-        SeparableFaultMachine::draw_with_tools(1).expect("a machine that can be diagnosed");
+        SeparableFaultMachine::draw_with_tool_growth(1).expect("a machine that can be diagnosed");
     assert!(hidden.fault_sizes().iter().any(|(fault, _)| *fault == PhysicalFault::ToolGrowth));
-    let two =
-        run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
+    let two = run_hidden_fault_demo(&BoardSource::InProcess, &hidden, &mut |_, _| {})
+        .expect("it runs through");
     let it = &two.outcome;
     println!("{}", it.format_row());
     assert!(it.all_right && it.board_s <= 600.0, "{}", it.format_row());
@@ -42,7 +44,7 @@ fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
 #[ignore = "campaign: cargo test -p trueup-demo --test hidden_fault campaign -- --ignored --show-output"]
 fn campaign_of_fixed_seeds() {
     let seeds: u64 = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(200);
-    let mut campaign = Campaign::default();
+    let mut campaign = CampaignStatistics::default();
     for seed in 0..seeds {
         println!("{}", {
             let hidden = SeparableFaultMachine::draw(seed).expect("can be diagnosed");

@@ -6,7 +6,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_campaigns::run_table::parse_run;
 use trueup_demo::{
-    act_one::{ActOneInput, ActOneResult, run_act_one},
+    act_one::{MeasuredRunInput, MeasuredRunResult, run_measured_run_demo},
     boards::BoardSource,
     page,
 };
@@ -17,7 +17,7 @@ const ZERO_COUNTS: f64 = 5048.0;
 const UM_PER_COUNT: f64 = 500.0 / 32_768.0;
 
 /// Readings of a dial that shows `dial` of what the sensor says, to 0.1 µm, with a scatter of 0.15 µm.
-fn shown(dial: impl Fn(f64) -> f64) -> ActOneResult {
+fn shown(dial: impl Fn(f64) -> f64) -> MeasuredRunResult {
     let mut csv = String::from("sensor_counts,spindle_rpm,measured_elongation_um\n");
     let mut state = 17_u64;
     for reading in 0..28 {
@@ -35,11 +35,11 @@ fn shown(dial: impl Fn(f64) -> f64) -> ActOneResult {
     }
     let run = parse_run(&csv, "run.csv").expect("a run file");
     let asked =
-        ActOneInput { source: MACHINE, path: Path::new("m.toml"), run: &run, quantity: None };
-    run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs through")
+        MeasuredRunInput { source: MACHINE, path: Path::new("m.toml"), run: &run, quantity: None };
+    run_measured_run_demo(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs through")
 }
 
-fn causes(one: &ActOneResult) -> Vec<&str> {
+fn causes(one: &MeasuredRunResult) -> Vec<&str> {
     one.diagnosis.report.findings.iter().map(|finding| finding.cause.as_str()).collect()
 }
 

@@ -48,8 +48,8 @@ impl BenchmarkReport {
         fs::create_dir_all(&folder)?;
         let text = serde_json::to_string_pretty(&self.json)? + "\n";
         fs::write(folder.join("measure.json"), text)?;
-        trueup_output::write_line(&self.table);
-        trueup_output::write_line("The figures: target/measure/measure.json");
+        trueup_output::write_line_best_effort(&self.table);
+        trueup_output::write_line_best_effort("The figures: target/measure/measure.json");
         ensure!(self.identical, "the board does not send what the host sends");
         Ok(())
     }
@@ -66,7 +66,7 @@ pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
     let by_tool = compile(&MachineFile::parse(&by_tool, Path::new("by_tool.toml"))?)?;
     let curves = MachineFile::parse(&build_curve_machine_toml(), Path::new("curves.toml"))?;
     let curves = compile(&curves)?;
-    let image = firmware::build_benchmark()?;
+    let image = firmware::build_benchmark_image()?;
     let blobs = [machine.blob(), by_tool.blob(), curves.blob()];
     let numbers = run_on_board(&image, blobs, vectors)?;
     let is_same = |name: &str, compiled: &CompiledCalibration| -> Result<bool> {

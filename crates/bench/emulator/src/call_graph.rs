@@ -264,7 +264,7 @@ fn decode_branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Br
         if let Some(offset) = offset {
             let target = (at + 4).wrapping_add_signed(offset);
             branches.targets.insert(target);
-            if is_wide && is_call(halves.get(number - 1).copied().unwrap_or_default()) {
+            if is_wide && is_branch_with_link(halves.get(number - 1).copied().unwrap_or_default()) {
                 branches.calls.insert(target);
             }
         }
@@ -311,7 +311,7 @@ fn branch_offset_32(first: u16, second: u16) -> Option<i64> {
 }
 
 /// Returns whether a wide branch with this second half-word is `bl`.
-fn is_call(second: u16) -> bool {
+fn is_branch_with_link(second: u16) -> bool {
     second >> 14 == 0b11 && second >> 12 & 1 == 1
 }
 

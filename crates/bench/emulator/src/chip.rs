@@ -160,9 +160,11 @@ pub fn run_interactive<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S
     let source = File::open(&pipe)?;
     let decoder = LogDecoder::from_image(image)?;
     let follower = std::thread::spawn(move || {
-        decoder.decode_stream(source, trueup_output::write_line).err().inspect(|error| {
-            trueup_output::write_diagnostic(format_args!("the log ends: {error:#}"));
-        })
+        decoder.decode_stream(source, trueup_output::write_line_best_effort).err().inspect(
+            |error| {
+                trueup_output::write_diagnostic(format_args!("the log ends: {error:#}"));
+            },
+        )
     });
     let status = child.wait()?;
     drop(held);
@@ -171,13 +173,13 @@ pub fn run_interactive<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S
 }
 
 /// A running model, ended with its owner, and the port of one of its lines.
-pub struct RunningModel {
+pub struct RunningChipModel {
     child: Child,
     /// Where the line listens on this machine.
     pub port: u16,
 }
 
-impl RunningModel {
+impl RunningChipModel {
     /// Starts an image whose serial line is a TCP port.
     ///
     /// # Errors
@@ -190,7 +192,7 @@ impl RunningModel {
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn start_modbus<S: AsRef<OsStr>>(
+    pub fn start_with_modbus<S: AsRef<OsStr>>(
         model: &Path,
         image: &Path,
         options: &[S],
@@ -220,7 +222,7 @@ impl RunningModel {
     }
 }
 
-impl Drop for RunningModel {
+impl Drop for RunningChipModel {
     fn drop(&mut self) {
         // It may have ended already; there is nothing else to do about a failure here.
         self.child.kill().ok();

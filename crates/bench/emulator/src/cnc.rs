@@ -89,11 +89,11 @@ impl<S: Read + Write> CncClient<S> {
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
-    pub fn send(&mut self, command: CncMessage) -> Result<()> {
+    pub fn send_message(&mut self, command: CncMessage) -> Result<()> {
         if matches!(command, CncMessage::Control(control) if control.engage) && !self.has_begun {
             self.has_begun = true;
-            for _ in frames::release_sequence() {
-                self.send(CncMessage::Control(Control::REFERENCED))?;
+            for _ in frames::disengaged_control_frames() {
+                self.send_message(CncMessage::Control(Control::REFERENCED))?;
             }
         }
         let (frame, counter) = match command {
@@ -128,10 +128,10 @@ impl<S: Read + Write> CncClient<S> {
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
-    pub fn confirm(&mut self) -> Result<()> {
+    pub fn send_confirmation(&mut self) -> Result<()> {
         for confirm in [false, true, false] {
-            for _ in 0..frames::release_sequence().len() {
-                self.send(CncMessage::Control(Control { confirm, ..Control::REFERENCED }))?;
+            for _ in 0..frames::disengaged_control_frames().len() {
+                self.send_message(CncMessage::Control(Control { confirm, ..Control::REFERENCED }))?;
             }
         }
         Ok(())
@@ -177,10 +177,10 @@ mod tests {
     use super::*;
     use std::io;
     use trueup_core::{
-        cnc::{AxisPosition, Rotary, TravelDirection},
+        cnc::{AxisPosition, RotaryAxisAngles, TravelDirection},
         units::Position,
     };
-    use trueup_link::{frame::Frame, receiver::Receiver};
+    use trueup_link::{frame::Frame, receiver::CncReceiver};
 
     /// A board that answers what the test says.
     struct Script {
@@ -234,11 +234,11 @@ mod tests {
             for axis in LinearAxis::ALL {
                 let direction = TravelDirection::Positive;
                 let there = AxisPosition { axis, position: Position(5), direction };
-                cnc.send(CncMessage::Position(there)).expect("accepted");
+                cnc.send_message(CncMessage::Position(there)).expect("accepted");
             }
-            cnc.send(CncMessage::Rotary(Rotary::default())).expect("accepted");
+            cnc.send_message(CncMessage::Rotary(RotaryAxisAngles::default())).expect("accepted");
         }
-        let mut receiver = Receiver::new();
+        let mut receiver = CncReceiver::new();
         let mut client = Client::new();
         for &byte in &cnc.stream.requests {
             if let Some(Event::Frame(frame)) = client.receive(byte) {

@@ -18,11 +18,11 @@ use crate::{
 /// The firmware's program.
 pub(crate) const FIRMWARE_PROGRAM: &str = "trueup-firmware";
 /// Names the machine file that is linked into an image.
-const MACHINE_ENV_VAR: &str = "TRUEUP_MACHINE";
+const MACHINE_FILE_ENV_VAR: &str = "TRUEUP_MACHINE";
 
 /// Which machine file is linked in.
 #[derive(Clone, Copy)]
-pub(crate) enum LinkedMachine<'a> {
+pub(crate) enum LinkedMachineFile<'a> {
     /// The one that the user has named in the environment, if any.
     Named,
     /// The example, whatever the environment says: it never gives an offset.
@@ -69,20 +69,20 @@ pub(crate) fn cargo_command(verb: &str, feature: &str) -> Result<(Command, PathB
 
 /// Part of the name of an image for this machine file: two programs that build for two machines at once do not
 /// overwrite each other's, and for one machine there is one image.
-pub(crate) fn machine_hash(machine: &Path) -> Result<String> {
+pub(crate) fn machine_file_hash(machine: &Path) -> Result<String> {
     let text = fs::read(machine).with_context(|| machine.display().to_string())?;
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);
     Ok(format!("{:016x}", hasher.finish()))
 }
 
-impl LinkedMachine<'_> {
+impl LinkedMachineFile<'_> {
     /// Has a build link it in.
     pub(crate) fn apply_to(self, command: &mut Command) {
         match self {
-            LinkedMachine::Named => command,
-            LinkedMachine::Example => command.env_remove(MACHINE_ENV_VAR),
-            LinkedMachine::File(machine) => command.env(MACHINE_ENV_VAR, machine),
+            LinkedMachineFile::Named => command,
+            LinkedMachineFile::Example => command.env_remove(MACHINE_FILE_ENV_VAR),
+            LinkedMachineFile::File(machine) => command.env(MACHINE_FILE_ENV_VAR, machine),
         };
     }
 }

@@ -10,7 +10,9 @@ use anyhow::Result;
 
 use crate::{
     binary,
-    compile::{FIRMWARE_PROGRAM, LinkedMachine, build_and_copy, cargo_command, machine_hash},
+    compile::{
+        FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, cargo_command, machine_file_hash,
+    },
     process, seal,
     setup::{self, TARGET_TRIPLE},
     slots,
@@ -63,7 +65,7 @@ pub fn benchmark_cargo_command(verb: &str) -> Result<(Command, PathBuf)> {
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
-pub fn build_benchmark() -> Result<PathBuf> {
+pub fn build_benchmark_image() -> Result<PathBuf> {
     let (mut command, folder) = benchmark_cargo_command("build")?;
     process::run(&mut command)?;
     Ok(folder.join(TARGET_TRIPLE).join("firmware/trueup-measure"))
@@ -77,11 +79,13 @@ pub fn build_benchmark() -> Result<PathBuf> {
 pub fn build(board: Board) -> Result<PathBuf> {
     match board {
         Board::Stm32f405 => slots::build_combined_image(
-            LinkedMachine::Named,
+            LinkedMachineFile::Named,
             board.cargo_feature(),
             slots::firmware_version()?,
         ),
-        Board::Virtual => build_virtual_for_machine(board.cargo_feature(), LinkedMachine::Named),
+        Board::Virtual => {
+            build_virtual_board_image_for_machine(board.cargo_feature(), LinkedMachineFile::Named)
+        }
     }
 }
 
@@ -89,7 +93,7 @@ pub fn build(board: Board) -> Result<PathBuf> {
 ///
 /// # Errors
 /// As [`build`]; QEMU is missing and cannot be installed.
-pub fn build_virtual() -> Result<PathBuf> {
+pub fn build_virtual_board_image() -> Result<PathBuf> {
     setup::ensure_qemu()?;
     build(Board::Virtual)
 }
@@ -99,28 +103,35 @@ pub fn build_virtual() -> Result<PathBuf> {
 ///
 /// # Errors
 /// As [`build`]; the machine file cannot be used.
-pub fn build_for_machine(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-for-{}", machine_hash(machine)?);
-    build_application("stm32f405", &name, LinkedMachine::File(machine))
+pub fn build_image_for_machine(machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-for-{}", machine_file_hash(machine)?);
+    build_application_image("stm32f405", &name, LinkedMachineFile::File(machine))
 }
 
 /// Builds the same with the feature `faults`: it breaks on command, and is never for a machine.
 ///
 /// # Errors
-/// As [`build_for_machine`].
-pub fn build_with_fault_injection(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-faults-for-{}", machine_hash(machine)?);
-    build_application("faults", &name, LinkedMachine::File(machine))
+/// As [`build_image_for_machine`].
+pub fn build_image_with_fault_injection(machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-faults-for-{}", machine_file_hash(machine)?);
+    build_application_image("faults", &name, LinkedMachineFile::File(machine))
 }
 
 /// Builds the virtual board's image, with the constants of `machine`.
-pub(crate) fn build_virtual_for_machine(name: &str, machine: LinkedMachine) -> Result<PathBuf> {
+pub(crate) fn build_virtual_board_image_for_machine(
+    name: &str,
+    machine: LinkedMachineFile,
+) -> Result<PathBuf> {
     let (mut command, folder) = cargo_command("build", Board::Virtual.cargo_feature())?;
     machine.apply_to(&mut command);
     build_and_copy(command, &folder, FIRMWARE_PROGRAM, name, |_| Ok(()))
 }
 
-fn build_application(feature: &str, name: &str, machine: LinkedMachine) -> Result<PathBuf> {
+fn build_application_image(
+    feature: &str,
+    name: &str,
+    machine: LinkedMachineFile,
+) -> Result<PathBuf> {
     let (mut command, folder) = cargo_command("build", feature)?;
     machine.apply_to(&mut command);
     let image = build_and_copy(command, &folder, FIRMWARE_PROGRAM, name, seal::embed_image_check)?;

@@ -30,7 +30,7 @@ pub const CLOCK_SCENARIOS: [ClockScenario; 3] = [
 ///
 /// It is for a clock, `later_ms` later than at the earliest.
 #[must_use]
-pub(crate) fn build_script(clock: &ClockScenario, later_ms: u32) -> String {
+pub(crate) fn build_full_load_script(clock: &ClockScenario, later_ms: u32) -> String {
     // When the board is up, so that the PLC's bytes find a receiver.
     let from_ms = if clock.0 == "16 MHz" { 720 } else { 250 };
     let read = plc::read_request_hex();
@@ -54,7 +54,7 @@ pub(crate) fn build_script(clock: &ClockScenario, later_ms: u32) -> String {
 pub fn run(model: &Path, image: &Path, clock: &ClockScenario, later_ms: u32) -> Result<RunReport> {
     let (_, dead, ms, line, _) = *clock;
     let file = tempfile::NamedTempFile::new()?;
-    fs::write(file.path(), build_script(clock, later_ms))?;
+    fs::write(file.path(), build_full_load_script(clock, later_ms))?;
     let path = file.path().to_string_lossy();
     let own = ["--bor", "--ms", ms, "--masked", "--script", &path];
     chip::run(model, image, &[&own[..], dead, line].concat())

@@ -20,14 +20,14 @@ pub fn build_trueup() -> Result<PathBuf> {
 /// # Errors
 /// It does not compile.
 pub fn build_servo_library() -> Result<PathBuf> {
-    build_servo_library_for(None)
+    build_servo_library_for_target(None)
 }
 
 /// Builds the same for another platform, as Rust names it; `None`: for this computer.
 ///
 /// # Errors
 /// It does not compile.
-pub fn build_servo_library_for(target: Option<&str>) -> Result<PathBuf> {
+pub fn build_servo_library_for_target(target: Option<&str>) -> Result<PathBuf> {
     let output = process::new_cargo_command()
         .args(["rustc", "--locked", "-p", "trueup-servo", "--lib", "--profile", "servo"])
         .args(target.map(|target| ["--target", target]).into_iter().flatten())

@@ -5,7 +5,7 @@ use std::{fs, path::PathBuf};
 use anyhow::{Context as _, Result};
 
 use crate::{
-    compile::LinkedMachine,
+    compile::LinkedMachineFile,
     firmware::{self, Board},
     setup,
     slots::{self, FlashableFiles},
@@ -14,19 +14,19 @@ use crate::{
 /// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
 ///
 /// # Errors
-/// As [`firmware::build`] and [`build_flashable`].
+/// As [`firmware::build`] and [`build_flashable_files`].
 pub fn build_bundled_images() -> Result<PathBuf> {
     let folder = setup::project_root().join("target/carried");
     fs::create_dir_all(&folder)?;
     let [chip, simulated] = Board::ALL.map(Board::cargo_feature);
-    let flashable = slots::build_flashable(
-        LinkedMachine::Example,
+    let flashable = slots::build_flashable_files(
+        LinkedMachineFile::Example,
         &format!("carried-{chip}"),
         slots::firmware_version()?,
     )?;
-    let simulator = firmware::build_virtual_for_machine(
+    let simulator = firmware::build_virtual_board_image_for_machine(
         &format!("carried-{simulated}"),
-        LinkedMachine::Example,
+        LinkedMachineFile::Example,
     )?;
     let mut copies = Vec::new();
     // The one of the chip has its plain bytes and its update next to it.
@@ -50,10 +50,10 @@ pub fn build_bundled_images() -> Result<PathBuf> {
 /// Builds the image that is flashed, and the update of boards that have it.
 ///
 /// # Errors
-/// As [`slots::build_flashable_for`].
-pub fn build_flashable() -> Result<FlashableFiles> {
-    slots::build_flashable(
-        LinkedMachine::Named,
+/// As [`slots::build_flashable_files_for_machine`].
+pub fn build_flashable_files() -> Result<FlashableFiles> {
+    slots::build_flashable_files(
+        LinkedMachineFile::Named,
         Board::Stm32f405.cargo_feature(),
         slots::firmware_version()?,
     )

@@ -15,7 +15,7 @@ pub const UNIT_ID: u8 = 1;
 
 /// Returns the bytes of a request or an answer on the line: the unit, the request or answer, the checksum.
 #[must_use]
-pub fn encode_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+pub fn encode_rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let body = [&[unit], pdu].concat();
     [&body[..], &checksum(&body)].concat()
 }
@@ -49,11 +49,11 @@ pub fn write_request_pdu(control: Control, counter: u16) -> Vec<u8> {
 /// Reads the whole input block.
 #[must_use]
 pub fn read_request_hex() -> String {
-    encode_hex(&encode_frame(UNIT_ID, &read_request_pdu()))
+    encode_hex(&encode_rtu_frame(UNIT_ID, &read_request_pdu()))
 }
 
 /// Writes a holding block with this `Control` and nothing else.
 #[must_use]
 pub fn write_request_hex(control: Control, counter: u16) -> String {
-    encode_hex(&encode_frame(UNIT_ID, &write_request_pdu(control, counter)))
+    encode_hex(&encode_rtu_frame(UNIT_ID, &write_request_pdu(control, counter)))
 }

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use crate::{log::LogDecoder, qemu::Qemu};
 
 /// QEMU's arguments for a monitor that [`QemuMonitor::connect`] finds.
-pub const MONITOR_ARGUMENTS: [&str; 2] = ["-qmp", "unix:qmp.sock,server=on,wait=off"];
+pub const QEMU_MONITOR_ARGUMENTS: [&str; 2] = ["-qmp", "unix:qmp.sock,server=on,wait=off"];
 
 const RAM_START: u64 = 0x2000_0000;
 const RAM_SIZE: u64 = 128 * 1024;
@@ -27,7 +27,7 @@ pub struct QemuMonitor {
 }
 
 impl QemuMonitor {
-    /// Connects to the monitor of an emulator that was started with [`MONITOR_ARGUMENTS`].
+    /// Connects to the monitor of an emulator that was started with [`QEMU_MONITOR_ARGUMENTS`].
     ///
     /// # Errors
     /// QEMU has ended, or is not QEMU.

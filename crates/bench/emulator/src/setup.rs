@@ -189,12 +189,12 @@ pub fn ensure_python() -> Result<PathBuf> {
 /// LinuxCNC, locked against other users until this is dropped: all instances on a computer share one key of
 /// shared memory, so only one can run.
 #[derive(Debug)]
-pub struct LinuxCnc {
+pub struct LockedLinuxCnc {
     program: PathBuf,
     _alone: File,
 }
 
-impl LinuxCnc {
+impl LockedLinuxCnc {
     /// Returns the path of its start script.
     #[must_use]
     pub fn program(&self) -> &Path {
@@ -207,19 +207,20 @@ impl LinuxCnc {
 ///
 /// # Errors
 /// There is a package, but it cannot be installed.
-pub fn ensure_linuxcnc() -> Result<Option<LinuxCnc>> {
-    const PROGRAM: &str = "linuxcnc";
-    const PACKAGE: &str = "linuxcnc-uspace";
+pub fn ensure_linuxcnc() -> Result<Option<LockedLinuxCnc>> {
+    const LINUXCNC_PROGRAM: &str = "linuxcnc";
+    const LINUXCNC_PACKAGE: &str = "linuxcnc-uspace";
     let installing = lock_setup()?;
-    if process::find_on_path(PROGRAM).is_none() {
+    if process::find_on_path(LINUXCNC_PROGRAM).is_none() {
         if process::find_on_path("apt-get").is_none() {
             return Ok(None);
         }
-        if let Err(error) = install_packages(&[PACKAGE], "LinuxCNC, to load what is exported to it")
+        if let Err(error) =
+            install_packages(&[LINUXCNC_PACKAGE], "LinuxCNC, to load what is exported to it")
         {
             // Only now are the lists of packages up to date: is there one at all?
             let mut show = Command::new("apt-cache");
-            if process::capture_stdout(show.args(["show", PACKAGE])).is_err() {
+            if process::capture_stdout(show.args(["show", LINUXCNC_PACKAGE])).is_err() {
                 return Ok(None);
             }
             return Err(error);
@@ -227,10 +228,10 @@ pub fn ensure_linuxcnc() -> Result<Option<LinuxCnc>> {
     }
     drop(installing);
     let program =
-        process::find_on_path(PROGRAM).context("linuxcnc is installed but not on PATH")?;
+        process::find_on_path(LINUXCNC_PROGRAM).context("linuxcnc is installed but not on PATH")?;
     let alone = File::create(project_root().join("target/linuxcnc.lock"))?;
     flock(&alone, FlockOperation::LockExclusive)?;
-    Ok(Some(LinuxCnc { program, _alone: alone }))
+    Ok(Some(LockedLinuxCnc { program, _alone: alone }))
 }
 
 /// Makes sure that a component of LinuxCNC can be compiled here.
@@ -238,10 +239,13 @@ pub fn ensure_linuxcnc() -> Result<Option<LinuxCnc>> {
 /// # Errors
 /// Something is missing and cannot be installed.
 pub fn ensure_linuxcnc_dev() -> Result<()> {
-    const PACKAGE: &str = "linuxcnc-uspace-dev";
+    const LINUXCNC_PACKAGE: &str = "linuxcnc-uspace-dev";
     let _alone = lock_setup()?;
     if process::find_on_path("halcompile").is_none() || process::find_on_path("make").is_none() {
-        install_packages(&[PACKAGE, "make", "gcc"], "the makefile and headers of LinuxCNC")?;
+        install_packages(
+            &[LINUXCNC_PACKAGE, "make", "gcc"],
+            "the makefile and headers of LinuxCNC",
+        )?;
     }
     Ok(())
 }

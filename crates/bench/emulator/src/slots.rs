@@ -8,14 +8,14 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_boot::{
-    flash_layout::{MAX_BOOT_SIZE, SLOT_SIZE, Slot},
-    header::{HEADER_SIZE, Header, Version},
+    flash_layout::{MAX_BOOT_PROGRAM_SIZE, SLOT_SIZE, Slot},
+    header::{HEADER_SIZE, ImageHeader, Version},
 };
 use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
     binary,
-    compile::{self, FIRMWARE_PROGRAM, LinkedMachine, build_and_copy, machine_hash},
+    compile::{self, FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, machine_file_hash},
     seal, setup,
 };
 
@@ -30,25 +30,25 @@ const SLOT_TEST_SYMBOL: &str = "SLOT_TEST";
 ///
 /// # Errors
 /// It does not compile, does not fit its sectors, or there is no way to the target.
-pub fn build_boot() -> Result<PathBuf> {
-    build_boot_for(None)
+pub fn build_boot_program() -> Result<PathBuf> {
+    build_boot_program_for_key(None)
 }
 
 /// Builds the boot program for another public key (PEM), under another name.
 ///
 /// # Errors
-/// As [`build_boot`].
-pub fn build_boot_with_key(key: &Path) -> Result<PathBuf> {
-    build_boot_for(Some(key))
+/// As [`build_boot_program`].
+pub fn build_boot_program_with_key(key: &Path) -> Result<PathBuf> {
+    build_boot_program_for_key(Some(key))
 }
 
-fn build_boot_for(key: Option<&Path>) -> Result<PathBuf> {
+fn build_boot_program_for_key(key: Option<&Path>) -> Result<PathBuf> {
     let name = if key.is_some() { "boot-with-key" } else { "boot" };
     let image = build_program("boot", "trueup-boot-program", name, None, key)?;
     let size = binary::read_flash_image(&image)?.len();
     ensure!(
-        size <= MAX_BOOT_SIZE as usize,
-        "the boot program has {size} bytes, above {MAX_BOOT_SIZE}"
+        size <= MAX_BOOT_PROGRAM_SIZE as usize,
+        "the boot program has {size} bytes, above {MAX_BOOT_PROGRAM_SIZE}"
     );
     Ok(image)
 }
@@ -56,8 +56,8 @@ fn build_boot_for(key: Option<&Path>) -> Result<PathBuf> {
 /// Builds the small image of the tests, linked for a slot.
 ///
 /// # Errors
-/// As [`build_boot`].
-pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
+/// As [`build_boot_program`].
+pub fn build_slot_test_image(slot: Slot) -> Result<PathBuf> {
     let name = format!("slot-test-{}", slot.name());
     build_program("slot-test", "trueup-slot-test", &name, Some(slot), None)
 }
@@ -65,8 +65,8 @@ pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
 /// Builds the same for another public key (PEM), under another name.
 ///
 /// # Errors
-/// As [`build_boot`].
-pub fn build_slot_test_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
+/// As [`build_boot_program`].
+pub fn build_slot_test_image_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
     let name = format!("slot-test-with-key-{}", slot.name());
     build_program("slot-test", "trueup-slot-test", &name, Some(slot), Some(key))
 }
@@ -87,15 +87,15 @@ pub fn cargo_commands(verb: &str) -> Result<[Command; 2]> {
 /// Builds the application of the board that is flashed for a machine, linked for a slot and with its CRC.
 ///
 /// # Errors
-/// As [`build_boot`]; the machine file cannot be used.
+/// As [`build_boot_program`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-{}-for-{}", slot.name(), machine_hash(machine)?);
-    build_for_slot(slot, LinkedMachine::File(machine), None, &name, |_| Ok(()))
+    let name = format!("stm32f405-{}-for-{}", slot.name(), machine_file_hash(machine)?);
+    build_application_for_slot(slot, LinkedMachineFile::File(machine), None, &name, |_| Ok(()))
 }
 
-fn build_for_slot(
+fn build_application_for_slot(
     slot: Slot,
-    machine: LinkedMachine<'_>,
+    machine: LinkedMachineFile<'_>,
     boot: Option<&Path>,
     name: &str,
     finish: impl FnOnce(&Path) -> Result<()>,
@@ -124,37 +124,40 @@ pub struct FlashableFiles {
 /// Builds them for a machine, with this version.
 ///
 /// # Errors
-/// As [`build_boot`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
-pub fn build_flashable_for(machine: &Path, version: Version) -> Result<FlashableFiles> {
-    let name = format!("stm32f405-{version}-for-{}", machine_hash(machine)?);
-    build_flashable(LinkedMachine::File(machine), &name, version)
+/// As [`build_boot_program`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
+pub fn build_flashable_files_for_machine(
+    machine: &Path,
+    version: Version,
+) -> Result<FlashableFiles> {
+    let name = format!("stm32f405-{version}-for-{}", machine_file_hash(machine)?);
+    build_flashable_files(LinkedMachineFile::File(machine), &name, version)
 }
 
 /// Builds the whole image alone.
 pub(crate) fn build_combined_image(
-    machine: LinkedMachine<'_>,
+    machine: LinkedMachineFile<'_>,
     name: &str,
     version: Version,
 ) -> Result<PathBuf> {
-    let boot = build_boot()?;
+    let boot = build_boot_program()?;
     let boot_bytes = boot.with_extension("bin");
     let bytes = binary::read_flash_image(&boot)?;
     // What is the same keeps its time, and nothing is built again.
     if fs::read(&boot_bytes).ok().as_ref() != Some(&bytes) {
         fs::write(&boot_bytes, bytes)?;
     }
-    let image = build_signed(Slot::A, machine, Some(&boot_bytes), name, version)?;
+    let image = build_signed_image(Slot::A, machine, Some(&boot_bytes), name, version)?;
     fs::write(image.with_extension("bin"), binary::read_flash_image(&image)?)?;
     Ok(image)
 }
 
-pub(crate) fn build_flashable(
-    machine: LinkedMachine<'_>,
+pub(crate) fn build_flashable_files(
+    machine: LinkedMachineFile<'_>,
     name: &str,
     version: Version,
 ) -> Result<FlashableFiles> {
     let image = build_combined_image(machine, name, version)?;
-    let second = build_signed(Slot::B, machine, None, &format!("{name}-B"), version)?;
+    let second = build_signed_image(Slot::B, machine, None, &format!("{name}-B"), version)?;
     let update =
         [image_with_header(&image, Slot::A)?, image_with_header(&second, Slot::B)?].concat();
     let path = image.with_extension("update");
@@ -163,15 +166,15 @@ pub(crate) fn build_flashable(
 }
 
 /// Builds the application for a slot, with its header and signature.
-fn build_signed(
+fn build_signed_image(
     slot: Slot,
-    machine: LinkedMachine<'_>,
+    machine: LinkedMachineFile<'_>,
     boot: Option<&Path>,
     name: &str,
     version: Version,
 ) -> Result<PathBuf> {
     let key = signing_key()?;
-    build_for_slot(slot, machine, boot, name, |image| {
+    build_application_for_slot(slot, machine, boot, name, |image| {
         let file = sign_update(&image_body(image, slot)?, slot, version, Version::default(), &key);
         seal::write_at_symbol(image, SLOT_HEADER_SYMBOL, &file[..HEADER_SIZE])
     })
@@ -252,7 +255,7 @@ fn image_with_header(image: &Path, slot: Slot) -> Result<Vec<u8>> {
     ensure!(flash.len() > first, "{name} is not linked for slot {}", slot.name());
     ensure!(flash.len() <= end, "{name} is larger than a slot");
     // A whole image has the boot program below slot A.
-    let below = if slot == Slot::A { MAX_BOOT_SIZE as usize..start } else { 0..start };
+    let below = if slot == Slot::A { MAX_BOOT_PROGRAM_SIZE as usize..start } else { 0..start };
     ensure!(flash[below].iter().all(|byte| *byte == 0xFF), "{name} has bytes below its slot");
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
     Ok(flash.split_off(start))
@@ -281,8 +284,8 @@ pub fn sign_update(
     floor: Version,
     key: &PrivateKey,
 ) -> Vec<u8> {
-    let mut header = Header::new_unsigned(body, slot, version, floor);
-    header.signature = key.sign(Header::signed_bytes(&header.encode()));
+    let mut header = ImageHeader::new_unsigned(body, slot, version, floor);
+    header.signature = key.sign(ImageHeader::signed_bytes(&header.encode()));
     let mut file = header.encode().to_vec();
     file.extend(body);
     file

@@ -19,7 +19,7 @@ pub(crate) const DATA_DIR_ENV_VAR: &str = "TRUEUP_DATA";
 ///
 /// `name` is its path below the folder, `ess_iso230/x.csv` say.
 #[must_use]
-pub fn find_file(name: &str) -> Option<PathBuf> {
+pub fn find_measured_file(name: &str) -> Option<PathBuf> {
     let adjacent = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     let folder = env::var_os(DATA_DIR_ENV_VAR).map_or(adjacent, PathBuf::from);
     let found = find_in_folder(&folder, name);

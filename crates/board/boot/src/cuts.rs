@@ -31,7 +31,7 @@ use crate::{
 
 /// Fate of the new image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ImageFate {
+enum TrialOutcome {
     /// It is confirmed.
     Confirmed,
     /// It crashes in its first start.
@@ -84,7 +84,7 @@ impl PowerCutBoard {
     }
 
     /// Runs work with both flashes at a supply.
-    fn with_supply<T>(
+    fn run_with_supply<T>(
         &mut self,
         supply: &PowerSupply,
         work: impl FnOnce(
@@ -101,7 +101,7 @@ impl PowerCutBoard {
         supply: &PowerSupply,
         ending: StartOutcome,
     ) -> Result<StartSelection, PowerCut> {
-        let (start, state) = self.with_supply(supply, |journal, slots| {
+        let (start, state) = self.run_with_supply(supply, |journal, slots| {
             let start = select_image(journal, slots, &TEST_KEY, ending, ClockSpeed::Full, || ());
             (start, journal.state())
         });
@@ -134,7 +134,7 @@ impl PowerCutBoard {
     fn load_update(&mut self, supply: &PowerSupply, running: &Image) -> Result<(), PowerCut> {
         let file = self.files[1].clone();
         let header: &[u8; HEADER_SIZE] = file.first_chunk().expect("a header");
-        let result = self.with_supply(supply, |journal, slots| {
+        let result = self.run_with_supply(supply, |journal, slots| {
             let mut update = Update::begin(journal, slots, running, header)?;
             for piece in file[HEADER_SIZE..].chunks(7) {
                 update.append(slots, piece)?;
@@ -151,7 +151,7 @@ impl PowerCutBoard {
 
     fn confirm(&mut self, supply: &PowerSupply, running: &Image) -> Result<(), PowerCut> {
         self.promised.confirming = true;
-        let result = self.with_supply(supply, |journal, _| confirm(journal, running));
+        let result = self.run_with_supply(supply, |journal, _| confirm(journal, running));
         if supply.is_off() {
             return Err(PowerCut);
         }
@@ -161,27 +161,27 @@ impl PowerCutBoard {
     }
 
     /// Lives with the power on until the story is over, or the supply is cut.
-    fn run_scenario(&mut self, supply: &PowerSupply, story: ImageFate) -> Result<(), PowerCut> {
+    fn run_scenario(&mut self, supply: &PowerSupply, story: TrialOutcome) -> Result<(), PowerCut> {
         let mut ending = StartOutcome::PowerCycle;
         for _ in 0..4 {
             let StartSelection { image, reason, .. } = self.start(supply, ending)?;
             ending = StartOutcome::Reset;
             match (image.header.slot, story) {
-                (Slot::A, ImageFate::Crashes) if reason == StartReason::WentBack => {
+                (Slot::A, TrialOutcome::Crashes) if reason == StartReason::WentBack => {
                     self.promised.rejected = true;
                     return Ok(());
                 }
                 (Slot::A, _) => self.load_update(supply, &image)?,
-                (Slot::B, ImageFate::Confirmed) if self.promised.confirmed => return Ok(()),
-                (Slot::B, ImageFate::Confirmed) => self.confirm(supply, &image)?,
-                (Slot::B, ImageFate::Crashes) => self.promised.crashed = true,
+                (Slot::B, TrialOutcome::Confirmed) if self.promised.confirmed => return Ok(()),
+                (Slot::B, TrialOutcome::Confirmed) => self.confirm(supply, &image)?,
+                (Slot::B, TrialOutcome::Crashes) => self.promised.crashed = true,
             }
         }
         panic!("the story has no end: {:?}", self.context)
     }
 
     /// Checks that each promise of the board holds after three more power cycles.
-    fn verify_promises(&mut self) {
+    fn verify_expected_state(&mut self) {
         for _ in 0..3 {
             let supply = PowerSupply::with_byte_budget(usize::MAX);
             for random in [&self.records.random, &self.slots.random] {
@@ -193,7 +193,7 @@ impl PowerCutBoard {
 }
 
 /// Returns how many bytes a story burns from here.
-fn count_written_bytes(board: &PowerCutBoard, story: ImageFate) -> usize {
+fn count_written_bytes(board: &PowerCutBoard, story: TrialOutcome) -> usize {
     const UNLIMITED_BYTES: usize = usize::MAX / 2;
     let supply = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
     assert!(board.clone().run_scenario(&supply, story).is_ok(), "the supply lasts");
@@ -201,7 +201,7 @@ fn count_written_bytes(board: &PowerCutBoard, story: ImageFate) -> usize {
 }
 
 /// Cuts at every word, and again at each `step`-th word of what follows; gives the number of pairs.
-fn cut_power_twice(story: ImageFate, seed: u32, before: u32, step: usize) -> usize {
+fn cut_power_twice(story: TrialOutcome, seed: u32, before: u32, step: usize) -> usize {
     let start = PowerCutBoard::new(seed, before);
     let all = count_written_bytes(&start, story);
     let mut pairs = 0;
@@ -221,7 +221,7 @@ fn cut_power_twice(story: ImageFate, seed: u32, before: u32, step: usize) -> usi
                 twice.run_scenario(&PowerSupply::with_byte_budget(usize::MAX), story).is_ok(),
                 "the supply lasts"
             );
-            twice.verify_promises();
+            twice.verify_expected_state();
             pairs += 1;
         }
     }
@@ -230,27 +230,27 @@ fn cut_power_twice(story: ImageFate, seed: u32, before: u32, step: usize) -> usi
 }
 
 /// The same with up to three other states stored before, so that sectors of the journal fill up at other words.
-fn cut_power_twice_everywhere(story: ImageFate, step: usize) -> usize {
-    let seed = |before: u32| 2 * before + u32::from(story == ImageFate::Crashes);
+fn cut_power_twice_everywhere(story: TrialOutcome, step: usize) -> usize {
+    let seed = |before: u32| 2 * before + u32::from(story == TrialOutcome::Crashes);
     (0..4).map(|before| cut_power_twice(story, seed(before) + 1, before, step)).sum()
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_is_confirmed_leave_a_board_that_starts() {
-    let pairs = cut_power_twice_everywhere(ImageFate::Confirmed, 11);
+    let pairs = cut_power_twice_everywhere(TrialOutcome::Confirmed, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_crashes_leave_a_board_that_starts() {
-    let pairs = cut_power_twice_everywhere(ImageFate::Crashes, 11);
+    let pairs = cut_power_twice_everywhere(TrialOutcome::Crashes, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
 #[test]
 #[ignore = "long: every pair of words, eighty seconds"]
 fn two_power_cuts_at_every_pair_of_words_leave_a_board_that_starts() {
-    let pairs = [ImageFate::Confirmed, ImageFate::Crashes]
+    let pairs = [TrialOutcome::Confirmed, TrialOutcome::Crashes]
         .map(|story| cut_power_twice_everywhere(story, 1));
     println!("{} pairs", pairs[0] + pairs[1]);
     assert!(pairs[0] + pairs[1] >= 1_000_000, "{pairs:?}");

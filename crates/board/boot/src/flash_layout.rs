@@ -3,7 +3,7 @@
 /// First address of the flash.
 pub const FLASH_START: u32 = 0x0800_0000;
 /// Bytes of the boot program at most: sectors 0 and 1.
-pub const MAX_BOOT_SIZE: u32 = 32 * 1024;
+pub const MAX_BOOT_PROGRAM_SIZE: u32 = 32 * 1024;
 /// First address of the records: sectors 2 and 3.
 pub const RECORDS_START: u32 = 0x0800_8000;
 /// The first of their two sectors.
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn the_places_follow_each_other_and_end_where_the_store_begins() {
-        assert_eq!(FLASH_START + MAX_BOOT_SIZE, RECORDS_START);
+        assert_eq!(FLASH_START + MAX_BOOT_PROGRAM_SIZE, RECORDS_START);
         assert_eq!(RECORDS_START + 2 * RECORDS_SECTOR_SIZE, SLOTS_START);
         assert_eq!(Slot::B.start(), 0x0804_0000, "sector 6");
         assert!(Slot::B.start() + SLOT_SIZE <= 0x0808_0000, "sector 8 is the store's");

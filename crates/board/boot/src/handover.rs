@@ -17,10 +17,10 @@ use crate::{
 };
 
 /// Words that are handed over.
-pub const WORD_COUNT: usize = 3;
+pub const HANDOVER_WORD_COUNT: usize = 3;
 
 /// Bytes of the status of a slot without a valid header.
-const NO_IMAGE: [u8; 2] = [0xFF; 2];
+const NO_IMAGE_STATUS: [u8; 2] = [0xFF; 2];
 
 /// The reason of a start, and the content of the slot that did not start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl StartInfo {
             StartReason::WentBack => (4, 0),
             StartReason::LastResort => (5, 0),
         };
-        let [status, starts] = self.other.map_or(NO_IMAGE, ImageStatus::encode);
+        let [status, starts] = self.other.map_or(NO_IMAGE_STATUS, ImageStatus::encode);
         u32::from_le_bytes([number, start, status, starts])
     }
 
@@ -66,7 +66,7 @@ impl StartInfo {
             _ => return None,
         };
         let other = match [status, starts] {
-            NO_IMAGE => None,
+            NO_IMAGE_STATUS => None,
             status => Some(ImageStatus::decode(status)?),
         };
         Some(Self { reason, other })
@@ -74,14 +74,14 @@ impl StartInfo {
 
     /// Returns the words that hand this choice to the image with that tag.
     #[must_use]
-    pub fn to_words(self, tag: u32) -> [u32; WORD_COUNT] {
+    pub fn to_words(self, tag: u32) -> [u32; HANDOVER_WORD_COUNT] {
         let word = self.encode();
         [tag, word, compute_crc(tag, word)]
     }
 
     /// Returns the choice that was handed to the image with that tag; `None`: none was, or it was for another image.
     #[must_use]
-    pub fn from_words(words: [u32; WORD_COUNT], tag: u32) -> Option<Self> {
+    pub fn from_words(words: [u32; HANDOVER_WORD_COUNT], tag: u32) -> Option<Self> {
         let [named, word, crc] = words;
         if named != tag || crc != compute_crc(named, word) {
             return None;
@@ -144,7 +144,7 @@ mod tests {
         for choice in all() {
             let words = choice.to_words(77);
             assert_eq!(StartInfo::from_words(words, 78), None, "another image");
-            for bit in 0..32 * WORD_COUNT {
+            for bit in 0..32 * HANDOVER_WORD_COUNT {
                 let mut damaged = words;
                 damaged[bit / 32] ^= 1 << (bit % 32);
                 for tag in [77, damaged[0]] {
@@ -161,7 +161,7 @@ mod tests {
         }
         // Cleared, erased and painted RAM (`ram_test` of the application).
         for word in [0, u32::MAX, 0xCCCC_CCCC] {
-            assert_eq!(StartInfo::from_words([word; WORD_COUNT], word), None);
+            assert_eq!(StartInfo::from_words([word; HANDOVER_WORD_COUNT], word), None);
         }
     }
 }

@@ -32,7 +32,7 @@ pub const SIGNATURE_SIZE: usize = 64;
 pub(crate) const DIGEST_SIZE: usize = 32;
 /// Bytes of a commit's hash.
 pub(crate) const COMMIT_HASH_SIZE: usize = 20;
-const MAGIC: [u8; 8] = *b"TRUEUPFW";
+const HEADER_MAGIC: [u8; 8] = *b"TRUEUPFW";
 const FORMAT_VERSION: u32 = 1;
 /// The tag's offset.
 const TAG_OFFSET: usize = HEADER_SIZE - 4;
@@ -71,7 +71,7 @@ impl fmt::Display for Version {
 
 /// The header, decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Header {
+pub struct ImageHeader {
     /// The slot that the image is linked for.
     pub slot: Slot,
     /// Bytes of the file: header and image.
@@ -113,7 +113,7 @@ impl fmt::Display for HeaderError {
 
 impl core::error::Error for HeaderError {}
 
-impl Header {
+impl ImageHeader {
     /// Returns the 512 bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; HEADER_SIZE] {
@@ -127,7 +127,8 @@ impl Header {
             self.floor.0,
         ];
         let words = fields.iter().flat_map(|word| word.to_le_bytes());
-        let content = self.signature.into_iter().chain(MAGIC).chain(words).chain(self.commit);
+        let content =
+            self.signature.into_iter().chain(HEADER_MAGIC).chain(words).chain(self.commit);
         let content = content.chain(self.digest);
         bytes.iter_mut().zip(content).for_each(|(place, byte)| *place = byte);
         if let Some((content, tag)) = bytes.split_last_chunk_mut() {
@@ -148,7 +149,7 @@ impl Header {
         let tag = u32::from_le_bytes(*tag);
         let (signature, rest) = content.split_first_chunk().ok_or(HeaderError::NoHeader)?;
         let (magic, rest) = rest.split_first_chunk().ok_or(HeaderError::NoHeader)?;
-        if *magic != MAGIC || crc::checksum(content) != tag {
+        if *magic != HEADER_MAGIC || crc::checksum(content) != tag {
             return Err(HeaderError::NoHeader);
         }
         let (fields, rest) = rest.split_first_chunk::<24>().ok_or(HeaderError::NoHeader)?;
@@ -194,16 +195,17 @@ impl Header {
     }
 }
 
-const _: () =
-    assert!(SIGNATURE_SIZE + MAGIC.len() + 24 + COMMIT_HASH_SIZE + DIGEST_SIZE <= TAG_OFFSET);
+const _: () = assert!(
+    SIGNATURE_SIZE + HEADER_MAGIC.len() + 24 + COMMIT_HASH_SIZE + DIGEST_SIZE <= TAG_OFFSET
+);
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::string::ToString as _;
 
-    fn header() -> Header {
-        Header {
+    fn header() -> ImageHeader {
+        ImageHeader {
             slot: Slot::B,
             length: 0x1234,
             crc: 0xDEAD_BEEF,
@@ -227,9 +229,9 @@ mod tests {
         assert_eq!(bytes[96..116], *b"ABCDEFGHIJKLMNOPQRST");
         assert_eq!(bytes[116..148], header().digest);
         assert!(bytes[148..508].iter().all(|byte| *byte == 0xFF));
-        let (tag, decoded) = Header::decode(&bytes).unwrap();
+        let (tag, decoded) = ImageHeader::decode(&bytes).unwrap();
         assert_eq!((tag.to_le_bytes().as_slice(), decoded), (&bytes[508..], header()));
-        assert_eq!(Header::signed_bytes(&bytes), &bytes[64..508]);
+        assert_eq!(ImageHeader::signed_bytes(&bytes), &bytes[64..508]);
     }
 
     #[test]
@@ -238,9 +240,9 @@ mod tests {
         for bit in 0..8 * HEADER_SIZE {
             let mut other = bytes;
             other[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(Header::decode(&other), Err(HeaderError::NoHeader), "bit {bit}");
+            assert_eq!(ImageHeader::decode(&other), Err(HeaderError::NoHeader), "bit {bit}");
         }
-        assert_eq!(Header::decode(&[0xFF; HEADER_SIZE]), Err(HeaderError::Blank));
+        assert_eq!(ImageHeader::decode(&[0xFF; HEADER_SIZE]), Err(HeaderError::Blank));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::{
     crc,
     flash_layout::Slot,
     hash::Sha256,
-    header::{HEADER_SIZE, Header, HeaderError, SIGNATURE_SIZE, Version},
+    header::{HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE, Version},
 };
 
 /// Bytes that are read at once.
@@ -72,7 +72,7 @@ pub struct Image {
     /// Names this very image.
     pub tag: u32,
     /// Its header.
-    pub header: Header,
+    pub header: ImageHeader,
 }
 
 /// Checks a header by itself: it is one, for this slot of `slot_size` bytes, and not below the floor.
@@ -87,7 +87,7 @@ pub fn check_header(
 ) -> Result<Image, ImageDefect> {
     /// The header and two vectors.
     const MIN_IMAGE_LENGTH: u32 = 512 + 8;
-    let (tag, header) = Header::decode(bytes).map_err(ImageDefect::Header)?;
+    let (tag, header) = ImageHeader::decode(bytes).map_err(ImageDefect::Header)?;
     if header.slot != slot {
         return Err(ImageDefect::OtherSlot);
     }
@@ -131,10 +131,10 @@ pub fn check_image<S: ReadNorFlash, K: VerifyingKey>(
     let header = &image.header;
     // The header is read once more, so that the bytes that were checked are those that are used.
     let bytes = read_header_bytes(slots, header.slot)?;
-    if Header::decode(&bytes) != Ok((image.tag, *header)) {
+    if ImageHeader::decode(&bytes) != Ok((image.tag, *header)) {
         return Err(ImageDefect::Crc);
     }
-    if key.is_some_and(|key| !key.verify(Header::signed_bytes(&bytes), &header.signature)) {
+    if key.is_some_and(|key| !key.verify(ImageHeader::signed_bytes(&bytes), &header.signature)) {
         return Err(ImageDefect::Signature);
     }
     between();

@@ -91,8 +91,9 @@ impl<F: NorFlash> Journal<F> {
                 journal.state = state;
                 // The next generation may have been begun, and be read at a later start: the spare sector is
                 // blank or full unless it was cut in its first entries.
-                let is_begun = spare.used > 0 && journal.fits(spare.used);
-                journal.is_settled = active.is_settled && (journal.fits(active.used) || !is_begun);
+                let is_begun = spare.used > 0 && journal.has_room_for_state(spare.used);
+                journal.is_settled =
+                    active.is_settled && (journal.has_room_for_state(active.used) || !is_begun);
             }
             None => journal.is_settled = active.used == 0 && spare.used == 0,
         }
@@ -136,11 +137,11 @@ impl<F: NorFlash> Journal<F> {
 
     fn write(&mut self, state: BootState) -> Result<(), JournalWriteError> {
         self.is_settled = false;
-        if !self.fits(self.next) {
+        if !self.has_room_for_state(self.next) {
             self.begin_generation()?;
         }
         for _ in 0..COPIES_PER_STATE {
-            self.append(&state)?;
+            self.append_state_copy(&state)?;
         }
         self.state = state;
         self.is_settled = true;
@@ -162,7 +163,7 @@ impl<F: NorFlash> Journal<F> {
         Ok(())
     }
 
-    fn append(&mut self, state: &BootState) -> Result<(), JournalWriteError> {
+    fn append_state_copy(&mut self, state: &BootState) -> Result<(), JournalWriteError> {
         let bytes = state.encode(self.generation);
         for _ in 0..MAX_WRITE_ATTEMPTS {
             if self.next >= self.entries_per_sector() {
@@ -208,7 +209,7 @@ impl<F: NorFlash> Journal<F> {
     }
 
     /// Returns whether a state finds room behind this many entries.
-    fn fits(&self, used: u32) -> bool {
+    fn has_room_for_state(&self, used: u32) -> bool {
         used.saturating_add(COPIES_PER_STATE) <= self.entries_per_sector()
     }
 

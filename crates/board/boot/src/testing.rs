@@ -12,7 +12,7 @@ use crate::{
     boot_state::ENTRY_SIZE,
     crc,
     flash_layout::Slot,
-    header::{HEADER_SIZE, Header, SIGNATURE_SIZE, Version},
+    header::{HEADER_SIZE, ImageHeader, SIGNATURE_SIZE, Version},
     image_check::VerifyingKey,
     journal::Journal,
 };
@@ -134,8 +134,8 @@ pub(crate) fn image_signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) 
     let body: Vec<u8> =
         (0..64).map(|n: u8| n.wrapping_mul(version).wrapping_add(slot.number())).collect();
     let [version, floor] = [version, floor].map(|minor| Version::new(0, minor, 0, 0));
-    let mut header = Header::new_unsigned(&body, slot, version, floor);
-    header.signature = key.sign(Header::signed_bytes(&header.encode()));
+    let mut header = ImageHeader::new_unsigned(&body, slot, version, floor);
+    header.signature = key.sign(ImageHeader::signed_bytes(&header.encode()));
     let mut file = header.encode().to_vec();
     file.extend(body);
     file

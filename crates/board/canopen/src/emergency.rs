@@ -14,12 +14,12 @@
 //! is reported all the same, so a flickering one costs no more of the bus than a lasting one, and none
 //! is overlooked.
 
-use trueup_core::cnc::{Flags, Output, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality, Output};
 use trueup_link::{
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
-        EMERGENCY_CODE, EMERGENCY_FAULT, EMERGENCY_FLAGS, EMERGENCY_ID, EMERGENCY_INHIBIT_MS,
+        EMERGENCY_CODE, EMERGENCY_FAULT, EMERGENCY_FLAGS, EMERGENCY_ID, EMERGENCY_INHIBIT_TIME_MS,
         EMERGENCY_QUALITY, EMERGENCY_REGISTER,
     },
 };
@@ -34,10 +34,10 @@ pub(crate) const ERROR_HISTORY_LEN: usize = 8;
 #[must_use]
 pub fn faults_from_output(output: &Output) -> Faults {
     Faults::default()
-        .with_if(output.flags.contains(Flags::SAMPLES_MISSING), Fault::SamplesMissing)
-        .with_if(output.flags.contains(Flags::SPEED_UNKNOWN), Fault::SpeedUnknown)
-        .with_if(output.flags.contains(Flags::OUTSIDE_TABLE), Fault::OutsideTable)
-        .with_if(output.flags.contains(Flags::CLAMPED), Fault::Clamped)
+        .with_fault_if(output.flags.contains(OffsetFlags::SAMPLES_MISSING), Fault::SamplesMissing)
+        .with_fault_if(output.flags.contains(OffsetFlags::SPEED_UNKNOWN), Fault::SpeedUnknown)
+        .with_fault_if(output.flags.contains(OffsetFlags::OUTSIDE_TABLE), Fault::OutsideTable)
+        .with_fault_if(output.flags.contains(OffsetFlags::CLAMPED), Fault::Clamped)
 }
 
 /// Content of an emergency.
@@ -50,9 +50,9 @@ pub struct Emergency {
     /// Which fault has come or gone.
     pub fault: Fault,
     /// The flags of that moment.
-    pub flags: Flags,
+    pub flags: OffsetFlags,
     /// The quality of that moment.
-    pub quality: Quality,
+    pub quality: OffsetQuality,
 }
 
 /// Returns the frame that says this.
@@ -72,7 +72,7 @@ pub fn encode(emergency: &Emergency) -> Frame {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a fault or quality that has no meaning.
 pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
-    let data = frames::frame_data(frame, EMERGENCY_ID, 8)?;
+    let data = frames::checked_frame_data(frame, EMERGENCY_ID, 8)?;
     let [low, high, ..] = EMERGENCY_CODE.extract(data).to_le_bytes();
     let (fault, quality) = (
         frames::extract_byte(EMERGENCY_FAULT, data),
@@ -85,8 +85,8 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
             .into_iter()
             .find(|candidate| *candidate as u8 == fault)
             .ok_or(DecodeError::Value { signal: "Fault", raw: fault.into() })?,
-        flags: Flags(frames::extract_byte(EMERGENCY_FLAGS, data)),
-        quality: Quality::from_wire(quality)
+        flags: OffsetFlags(frames::extract_byte(EMERGENCY_FLAGS, data)),
+        quality: OffsetQuality::from_wire(quality)
             .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
     })
 }
@@ -110,20 +110,20 @@ impl Default for EmergencyProducer {
             reported: Faults::default(),
             seen: Faults::default(),
             history: heapless::Deque::new(),
-            inhibit: default_inhibit_time(),
+            inhibit: default_inhibit_time_100us(),
             since_ms: u32::MAX,
         }
     }
 }
 
-fn default_inhibit_time() -> u16 {
-    u16::try_from(EMERGENCY_INHIBIT_MS.saturating_mul(10)).unwrap_or(u16::MAX)
+fn default_inhibit_time_100us() -> u16 {
+    u16::try_from(EMERGENCY_INHIBIT_TIME_MS.saturating_mul(10)).unwrap_or(u16::MAX)
 }
 
 impl EmergencyProducer {
     /// Sets the shortest time between two emergencies to what it is at the start.
     pub fn reset_inhibit_time(&mut self) {
-        self.inhibit = default_inhibit_time();
+        self.inhibit = default_inhibit_time_100us();
     }
 
     /// Notes the faults of a tick.
@@ -149,7 +149,7 @@ impl EmergencyProducer {
             self.reported = self.reported.without(fault);
             self.seen = self.seen.without(fault);
         } else {
-            self.reported = self.reported.with_if(true, fault);
+            self.reported = self.reported.with_fault_if(true, fault);
             self.push_history(code, fault);
         }
         self.since_ms = 0;
@@ -186,12 +186,12 @@ impl EmergencyProducer {
 
     /// Returns the shortest time between two emergencies in 0.1 ms.
     #[must_use]
-    pub const fn inhibit_time(&self) -> u16 {
+    pub const fn inhibit_time_100us(&self) -> u16 {
         self.inhibit
     }
 
     /// Sets the shortest time between two emergencies, in 0.1 ms; 0: none.
-    pub const fn set_inhibit_time(&mut self, tenths_of_ms: u16) {
+    pub const fn set_inhibit_time_100us(&mut self, tenths_of_ms: u16) {
         self.inhibit = tenths_of_ms;
     }
 }

@@ -251,7 +251,7 @@ impl Faults {
 
     /// Returns these, and `fault` if `condition` holds.
     #[must_use]
-    pub const fn with_if(self, condition: bool, fault: Fault) -> Self {
+    pub const fn with_fault_if(self, condition: bool, fault: Fault) -> Self {
         if condition { Self(self.0 | 1 << fault as u32) } else { self }
     }
 

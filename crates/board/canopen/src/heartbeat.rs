@@ -48,7 +48,7 @@ impl HeartbeatConsumer {
     }
 
     /// Time passes, in milliseconds.
-    pub fn tick(&mut self, elapsed_ms: u32) {
+    pub fn advance_time(&mut self, elapsed_ms: u32) {
         self.silent_ms = self.silent_ms.map(|silent| silent.saturating_add(elapsed_ms));
     }
 

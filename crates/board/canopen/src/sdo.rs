@@ -68,7 +68,7 @@ pub trait ObjectAccess {
     fn append(&mut self, what: EntryContent, bytes: &[u8]) -> Result<(), AbortCode>;
 
     /// Returns whether a whole block of a domain can be taken now. If not, its master waits for the answer until it can.
-    fn is_ready(&self, what: EntryContent) -> bool;
+    fn has_room_for_block(&self, what: EntryContent) -> bool;
 
     /// It has come whole, and is now looked at; [`Server::finish_download`] will say what came of it.
     ///

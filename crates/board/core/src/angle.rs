@@ -31,7 +31,7 @@
 
 use crate::{
     fixed_point::{mul_high_rounded, rounding_shift_right_i32},
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::MicroDegrees,
 };
 
@@ -52,18 +52,18 @@ const COSINE_COEFFICIENTS: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537
 /// Sine and cosine of an angle, Q30: [`Direction::ONE`] is 1.
 ///
 /// ```
-/// use trueup_core::{angle::sine_cosine, units::MicroDegrees};
+/// use trueup_core::{angle::sin_cos, units::MicroDegrees};
 /// const ONE: i32 = 1 << 30;
 /// // sin 30° = 1/2, cos 30° = √3/2 = 0.866 025 404.
-/// let (sine, cosine) = sine_cosine(MicroDegrees(30_000_000));
+/// let (sine, cosine) = sin_cos(MicroDegrees(30_000_000));
 /// assert!((sine - ONE / 2).abs() <= 1);
 /// assert!((f64::from(cosine) / f64::from(ONE) - 0.866_025_404).abs() < 2e-9);
 /// // −90° and 5 turns and a half.
-/// assert_eq!(sine_cosine(MicroDegrees(-90_000_000)), (-ONE, 0));
-/// assert_eq!(sine_cosine(MicroDegrees(1_980_000_000)), (0, -ONE));
+/// assert_eq!(sin_cos(MicroDegrees(-90_000_000)), (-ONE, 0));
+/// assert_eq!(sin_cos(MicroDegrees(1_980_000_000)), (0, -ONE));
 /// ```
 #[must_use]
-pub fn sine_cosine(angle: MicroDegrees) -> (i32, i32) {
+pub fn sin_cos(angle: MicroDegrees) -> (i32, i32) {
     let quarters = mul_high_rounded(angle.0, QUARTERS_PER_MICRODEGREE);
     let quarters = rounding_shift_right_i32(quarters, QUARTERS_FRACTION_BITS);
     // At the ends of i32 the product alone wraps, the difference is right.
@@ -84,7 +84,7 @@ pub fn sine_cosine(angle: MicroDegrees) -> (i32, i32) {
     let series = c2.wrapping_add(mul_high_rounded(c3, w));
     let series = c1.wrapping_add(mul_high_rounded(series, w));
     let series = c0.wrapping_add(mul_high_rounded(series, w));
-    let cosine = Direction::ONE.wrapping_sub(mul_high_rounded(series, w));
+    let cosine = ToolDirection::ONE.wrapping_sub(mul_high_rounded(series, w));
 
     match quarters & 3 {
         0 => (sine, cosine),
@@ -109,8 +109,8 @@ mod tests {
     }
 
     fn error(angle: i32) -> f64 {
-        let one = f64::from(Direction::ONE);
-        let (sine, cosine) = sine_cosine(MicroDegrees(angle));
+        let one = f64::from(ToolDirection::ONE);
+        let (sine, cosine) = sin_cos(MicroDegrees(angle));
         let (exact_sine, exact_cosine) = exact(angle);
         (f64::from(sine) / one - exact_sine)
             .abs()
@@ -134,18 +134,18 @@ mod tests {
 
     #[test]
     fn quarters_are_exact_and_nothing_exceeds_1() {
-        const ONE: i32 = Direction::ONE;
+        const ONE: i32 = ToolDirection::ONE;
         let values = [(0, ONE), (ONE, 0), (0, -ONE), (-ONE, 0)];
         for quarter in -23_i32..=23 {
             let expected = values[quarter.rem_euclid(4) as usize];
             assert_eq!(
-                sine_cosine(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES)),
+                sin_cos(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES)),
                 expected,
                 "{quarter}"
             );
             for near in -1_000..=1_000 {
                 let (sine, cosine) =
-                    sine_cosine(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES + near));
+                    sin_cos(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES + near));
                 assert!(sine.abs() <= ONE && cosine.abs() <= ONE);
             }
         }

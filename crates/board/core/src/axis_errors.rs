@@ -120,7 +120,7 @@ const FIRST_ANGLE_INDEX: usize = 9;
 const TERMS_INDEX: usize = 12;
 
 /// Of X, Y and Z: the two places in [`STRAIGHTNESS_AXIS_PAIRS`] where the axis is the one that moves.
-const GUIDES_BY_AXIS: [[usize; 2]; 3] = {
+const STRAIGHTNESS_INDICES_BY_AXIS: [[usize; 2]; 3] = {
     let mut over = [[0; 2]; 3];
     let (mut axis, mut pair) = (0, 0);
     while axis < over.len() {
@@ -141,14 +141,14 @@ impl Calibration<'_> {
     /// Returns the errors of the axes at a place.
     #[must_use]
     pub fn axis_errors(&self, heat: &MachineThermalState, place: &MachinePosition) -> AxisErrors {
-        *CachedErrors::from_place(self, heat, place).errors()
+        *CachedErrors::from_position(self, heat, place).errors()
     }
 }
 
 impl CachedErrors {
     /// Returns the errors at a place, added up.
     #[must_use]
-    pub fn from_place(
+    pub fn from_position(
         calibration: &Calibration<'_>,
         heat: &MachineThermalState,
         place: &MachinePosition,
@@ -176,7 +176,7 @@ impl CachedErrors {
         place: &MachinePosition,
         moved: LinearAxis,
     ) {
-        self.update_axis_heat(calibration, heat, place, moved);
+        self.update_axis_thermal_error(calibration, heat, place, moved);
         for (name, axis) in LinearAxis::ALL.into_iter().zip(&calibration.axes) {
             // A beam's error changes where it is crossed, too.
             if name == moved || axis.dual.is_some_and(|dual| dual.across == moved) {
@@ -189,7 +189,7 @@ impl CachedErrors {
             }
         }
         let position = place.axis_position(moved);
-        for &number in GUIDES_BY_AXIS.get(moved as usize).into_iter().flatten() {
+        for &number in STRAIGHTNESS_INDICES_BY_AXIS.get(moved as usize).into_iter().flatten() {
             if let (Some(guide), Some(curve), Some(gradient)) = (
                 self.guides.get_mut(number),
                 calibration.straightness.get(number),
@@ -255,7 +255,7 @@ impl CachedErrors {
     }
 
     /// An axis has become warmer or colder.
-    pub fn update_axis_heat(
+    pub fn update_axis_thermal_error(
         &mut self,
         calibration: &Calibration<'_>,
         heat: &MachineThermalState,
@@ -355,7 +355,7 @@ mod tests {
         gantry(&mut calibration, [&first, &second]);
         let heat = MachineThermalState::default();
         let mut place = at([0, 0, 0]);
-        let mut cached = CachedErrors::from_place(&calibration, &heat, &place);
+        let mut cached = CachedErrors::from_position(&calibration, &heat, &place);
         let (x, y) = (LinearAxis::X, LinearAxis::Y);
         // To where, which axis, and the error of X in 1/256 nm, whether it is outside.
         for (positions, moved, error, outside) in [

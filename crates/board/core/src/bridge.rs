@@ -65,16 +65,16 @@ pub use self::conditions::CONDITIONS_TIMEOUT_FACTOR;
 pub use self::lost_inputs::LostInputs;
 use self::required_inputs::RequiredInputs;
 pub use self::slope::{ConstantAndSlope, SLOPE_RESOLUTION_NM};
-pub use self::sources::SOURCE_RETURN_MS;
+pub use self::sources::SOURCE_RETURN_DELAY_MS;
 use self::state::{Age, OffsetMode};
 pub use self::state::{
-    JUMP_REPORT_MS, POSITION_JITTER_MS, Reference, SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS, State,
-    TEMPERATURE_TIMEOUT_MS,
+    JUMP_REPORT_DURATION_MS, POSITION_JITTER_MS, ReferenceErrors, SAMPLES_TIMEOUT_MS,
+    STALE_DURATION_AFTER_LOSS_MS, State, TEMPERATURE_TIMEOUT_MS,
 };
 use crate::{
     axis_errors::ErrorSums,
     calibration::{Calibration, ElongationSource},
-    cnc::{CncMessage, Control, Flags, LinearAxis, Output, Quality, Rotary},
+    cnc::{CncMessage, Control, LinearAxis, OffsetFlags, OffsetQuality, Output, RotaryAxisAngles},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK, THERMAL_STEP_MS},
     index_set::IndexSet,
     learned::ChangeRequest,
@@ -85,7 +85,7 @@ use crate::{
     thermal_state,
     thermometer::RawReading,
     tip_error,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::{AdcCode, FineNanometres, Nanometres, Rpm, TimestampMs},
 };
 
@@ -100,7 +100,7 @@ pub struct Bridge<'a> {
 
 /// The inputs of one tick.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Input<'a> {
+pub struct TickInput<'a> {
     /// A millisecond of conversions; `None` where none came.
     pub codes: Option<&'a [AdcCode; CODES_PER_TICK]>,
     /// The spindle speed as the board knows it; a fresh one from the CNC wins.
@@ -160,11 +160,11 @@ impl<'a> Bridge<'a> {
                 if self.needs.category_speed
                     && state.heat.update_speed(&self.calibration, spindle.speed)
                 {
-                    self.update_term_heat(state);
+                    self.update_term_errors(state);
                 }
             }
             CncMessage::Conditions(conditions) => self.receive_conditions(state, conditions),
-            CncMessage::Rotary(Rotary { angles }) => self.receive_angles(state, angles),
+            CncMessage::Rotary(RotaryAxisAngles { angles }) => self.receive_angles(state, angles),
             CncMessage::Position(received) => {
                 if let Some(axis) = self.calibration.axes.get(received.axis as usize)
                     && state.receive_position(received, axis)
@@ -183,9 +183,9 @@ impl<'a> Bridge<'a> {
     /// Computes one tick: `now` is the time at its end.
     // A part of the node's tick, also where an image has that twice: a call costs 20 instructions.
     #[inline(always)]
-    pub fn tick(&self, state: &mut State, now: TimestampMs, input: Input<'_>) -> Output {
+    pub fn tick(&self, state: &mut State, now: TimestampMs, input: TickInput<'_>) -> Output {
         let limits = &self.calibration.limits;
-        let elapsed_ms = now.duration_since(state.now);
+        let elapsed_ms = now.duration_ms_since(state.now);
         state.now = now;
         state.advance_ages(elapsed_ms);
 
@@ -204,7 +204,7 @@ impl<'a> Bridge<'a> {
 
         let chosen = self.select_source(state, elapsed_ms);
         let place = self.has_positions(state);
-        let fresh = self.has_conditions(state, elapsed_ms)
+        let fresh = self.step_conditions(state, elapsed_ms)
             && chosen != SelectedSource::Missing
             && place
             && self.has_temperatures(state);
@@ -232,28 +232,30 @@ impl<'a> Bridge<'a> {
         let unbelievable = self.is_sensor_lost(state, missing)
             || state.channels.has_faulty_channel(self.needs.watched);
         let quality = match mode {
-            OffsetMode::Follow if self.is_temperature_held(state, chosen) => Quality::Hold,
+            OffsetMode::Follow if self.is_temperature_held(state, chosen) => OffsetQuality::Hold,
             OffsetMode::Follow => match self.quality(chosen) {
-                Quality::Live if state.conditions.by_default => Quality::TemperatureModel,
+                OffsetQuality::Live if state.conditions.by_default => {
+                    OffsetQuality::TemperatureModel
+                }
                 quality => quality,
             },
-            OffsetMode::Hold => Quality::Hold,
-            OffsetMode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
+            OffsetMode::Hold => OffsetQuality::Hold,
+            OffsetMode::RampOut if !state.applied.is_zero() => OffsetQuality::RampingOut,
             OffsetMode::RampOut if state.inhibited || self.is_faulty(state, chosen) => {
-                Quality::Fault
+                OffsetQuality::Fault
             }
-            OffsetMode::RampOut => Quality::Off,
+            OffsetMode::RampOut => OffsetQuality::Off,
         };
-        let flags = Flags::NONE
-            .with_if(status.clamped, Flags::CLAMPED)
-            .with_if(status.slewing || rejoins, Flags::SLEWING)
-            .with_if(unbelievable, Flags::SENSOR_FAULT)
-            .with_if(missing, Flags::SAMPLES_MISSING)
-            .with_if(state.cnc_known && (control.is_none() || !place), Flags::CNC_LOST)
-            .with_if(speed.is_none(), Flags::SPEED_UNKNOWN)
-            .with_if(outside, Flags::OUTSIDE_TABLE);
+        let flags = OffsetFlags::NONE
+            .with_if(status.clamped, OffsetFlags::CLAMPED)
+            .with_if(status.slewing || rejoins, OffsetFlags::SLEWING)
+            .with_if(unbelievable, OffsetFlags::SENSOR_FAULT)
+            .with_if(missing, OffsetFlags::SAMPLES_MISSING)
+            .with_if(state.cnc_known && (control.is_none() || !place), OffsetFlags::CNC_LOST)
+            .with_if(speed.is_none(), OffsetFlags::SPEED_UNKNOWN)
+            .with_if(outside, OffsetFlags::OUTSIDE_TABLE);
         Output {
-            offset: (quality != Quality::Fault).then(|| state.applied.offset()),
+            offset: (quality != OffsetQuality::Fault).then(|| state.applied.offset()),
             quality,
             flags,
             age_ms: oldest_input_age(state, chosen).to_wire_byte(),
@@ -264,7 +266,7 @@ impl<'a> Bridge<'a> {
     fn are_samples_missing(&self, state: &State) -> bool {
         self.needs.sensor
             && (state.codes_age.is_older_than(SAMPLES_TIMEOUT_MS)
-                || !state.starved_age.is_older_than(STALE_AFTER_LOSS_MS))
+                || !state.starved_age.is_older_than(STALE_DURATION_AFTER_LOSS_MS))
     }
 
     #[inline]
@@ -327,7 +329,7 @@ impl<'a> Bridge<'a> {
             return self.decay_source_shift(state);
         }
         if item == 0 {
-            self.update_heat_validity(state);
+            self.update_thermal_state_validity(state);
         }
         // As many items have no term as there are parts: one a millisecond.
         state.heat.learned.step(item);
@@ -338,16 +340,16 @@ impl<'a> Bridge<'a> {
         };
         state.heat.step_item(&self.calibration, item, &temperatures, speed);
         if let Some(axis) = LinearAxis::ALL.get(item) {
-            self.update_axis_heat(state, *axis);
+            self.update_axis_thermal_error(state, *axis);
         } else if let Some(term) = item.checked_sub(thermal_state::FIRST_TERM_ITEM)
             && self.calibration.terms.get(term).is_some_and(Option::is_some)
         {
-            self.update_term_heat(state);
+            self.update_term_errors(state);
         }
     }
 
     /// Heat that is not known is, once its thermometers agree, or what can be left of it is small.
-    fn update_heat_validity(&self, state: &mut State) {
+    fn update_thermal_state_validity(&self, state: &mut State) {
         if state.heat.is_unknown() {
             let connected = self.calibration.thermometers.iter().map(Option::is_some);
             let temperatures = state.channels.temperatures();
@@ -355,24 +357,24 @@ impl<'a> Bridge<'a> {
                 connected.zip(temperatures),
                 self.calibration.cold_within,
             );
-            state.heat.step_unknown(is_cold);
+            state.heat.step_unknown_state(is_cold);
         }
     }
 
     /// The operator says that the machine is cold.
     pub fn confirm_cold(&self, state: &mut State) {
-        state.heat.step_unknown(true);
+        state.heat.step_unknown_state(true);
     }
 
     /// Returns the heat that outlasts a reset.
     #[must_use]
-    pub fn retained_heat(&self, state: &State) -> RetainedLags {
+    pub fn retained_lags(&self, state: &State) -> RetainedLags {
         state.heat.retained_lags(&self.calibration)
     }
 
     /// Goes on with the heat from before a reset, or from this many steps of 100 ms without power ago; without
     /// one it is not known, where something has to know it.
-    pub fn restore_heat(&self, state: &mut State, memory: &RetainedLags, steps: u32) {
+    pub fn restore_lags(&self, state: &mut State, memory: &RetainedLags, steps: u32) {
         state.heat.restore_lags(&self.calibration, memory, steps);
         self.compute_errors(state);
     }
@@ -396,7 +398,7 @@ impl<'a> Bridge<'a> {
     /// Returns whether a temperature that the offset rests on changed too fast, and is held.
     #[inline]
     fn is_temperature_held(&self, state: &State, chosen: SelectedSource) -> bool {
-        let doubtful = state.channels.doubtful_channels();
+        let doubtful = state.channels.uncertain_channels();
         doubtful != IndexSet::default()
             && (doubtful.intersects(self.needs.temperatures) || self.is_source_held(state, chosen))
     }
@@ -452,7 +454,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Returns the tool direction at the present angles.
-    fn tool_direction(&self, state: &State) -> Direction {
+    fn tool_direction(&self, state: &State) -> ToolDirection {
         match state.tool.latest() {
             Some((_, direction)) => direction,
             None => self.calibration.kinematics.zero,

@@ -139,7 +139,7 @@ pub struct SpindleTemperatureModel<'a> {
 impl SpindleTemperatureModel<'_> {
     /// Returns whether it lags, and so has to know what was before.
     #[must_use]
-    pub fn has_memory(&self) -> bool {
+    pub fn has_lag(&self) -> bool {
         [self.smoothing, self.smoothing_falling] != [SmoothingFactor::NO_LAG; 2]
     }
 }
@@ -260,8 +260,8 @@ mod tests {
             smoothing_falling: SmoothingFactor::NO_LAG,
             law: ThermalExpansionLaw { pieces: &[] },
         };
-        assert!(!law.has_memory());
-        assert!(SpindleTemperatureModel { smoothing: lag, ..law }.has_memory());
-        assert!(SpindleTemperatureModel { smoothing_falling: lag, ..law }.has_memory());
+        assert!(!law.has_lag());
+        assert!(SpindleTemperatureModel { smoothing: lag, ..law }.has_lag());
+        assert!(SpindleTemperatureModel { smoothing_falling: lag, ..law }.has_lag());
     }
 }

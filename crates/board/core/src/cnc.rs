@@ -11,13 +11,13 @@ pub enum CncMessage {
     /// The CNC's sign of life, and what it allows the bridge to do.
     Control(Control),
     /// Speed and load of the spindle.
-    Spindle(Spindle),
+    Spindle(SpindleState),
     /// Where a linear axis is sent.
     Position(AxisPosition),
     /// Where the rotary axes of the head are sent.
-    Rotary(Rotary),
+    Rotary(RotaryAxisAngles),
     /// The tool and the switches of the machine.
-    Conditions(Conditions),
+    Conditions(MachineConditions),
 }
 
 /// The CNC's sign of life, and what it allows the bridge to do.
@@ -54,7 +54,7 @@ impl Control {
 
 /// Speed and load of the spindle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Spindle {
+pub struct SpindleState {
     /// Speed in r/min, 0…65 535, whichever way it turns.
     pub speed: Rpm,
     /// Axial cutting force in newtons; pushing the tool back is positive.
@@ -63,14 +63,14 @@ pub struct Spindle {
 
 /// The tool in the spindle, and the switches of the machine that a correction may depend on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Conditions {
+pub struct MachineConditions {
     /// The number of the tool; 0: none.
     pub tool: u16,
     /// A bit for each condition.
     pub bits: u16,
 }
 
-impl Conditions {
+impl MachineConditions {
     /// Returns whether the condition of this bit, 0…15, holds.
     #[must_use]
     pub const fn is_set(self, bit: u8) -> bool {
@@ -136,7 +136,7 @@ impl TravelDirection {
 
 /// Where the rotary axes of the head are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Rotary {
+pub struct RotaryAxisAngles {
     /// Commanded angles, in the order of the machine's head axes: from the frame to the tool.
     pub angles: [MicroDegrees; 2],
 }
@@ -144,7 +144,7 @@ pub struct Rotary {
 /// How good an offset is. The numbers are those on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Quality {
+pub enum OffsetQuality {
     /// Not engaged, the offset is 0.
     #[default]
     Off = 0,
@@ -162,7 +162,7 @@ pub enum Quality {
     Fault = 6,
 }
 
-impl Quality {
+impl OffsetQuality {
     /// Returns the quality with this number on the wire.
     #[must_use]
     pub fn from_wire(number: u8) -> Option<Self> {
@@ -181,9 +181,9 @@ impl Quality {
 
 /// Why an offset is not simply the full correction: one bit a reason, as on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Flags(pub u8);
+pub struct OffsetFlags(pub u8);
 
-impl Flags {
+impl OffsetFlags {
     /// Nothing to report.
     pub const NONE: Self = Self(0);
     /// An axis stands at its largest permitted offset.
@@ -228,9 +228,9 @@ pub struct Output {
     /// The offset that the CNC adds to its command on X, Y and Z; `None`: not available.
     pub offset: Option<[Nanometres; 3]>,
     /// How good it is.
-    pub quality: Quality,
+    pub quality: OffsetQuality,
     /// Why it is not simply the full correction.
-    pub flags: Flags,
+    pub flags: OffsetFlags,
     /// Milliseconds since the newest sample that the offset rests on; 255 stands for all beyond.
     pub age_ms: u8,
 }
@@ -247,7 +247,7 @@ mod tests {
             assert!(heading.is_none_or(|heading| heading as i8 == number), "{number}");
         }
         for number in 0..=u8::MAX {
-            let quality = Quality::from_wire(number);
+            let quality = OffsetQuality::from_wire(number);
             assert_eq!(quality.is_some(), number <= 6, "{number}");
             assert!(quality.is_none_or(|quality| quality as u8 == number), "{number}");
         }
@@ -255,27 +255,30 @@ mod tests {
 
     #[test]
     fn a_flag_that_is_set_again_stays_and_several_are_there_when_each_is() {
-        let both = Flags::CLAMPED.with(Flags::CNC_LOST);
-        assert_eq!(both.with(Flags::CLAMPED), both);
-        assert_eq!(both.with_if(true, Flags::CNC_LOST).with_if(false, Flags::SLEWING), both);
-        assert!(both.contains(both) && both.contains(Flags::CLAMPED));
-        assert!(!Flags::CLAMPED.contains(both));
+        let both = OffsetFlags::CLAMPED.with(OffsetFlags::CNC_LOST);
+        assert_eq!(both.with(OffsetFlags::CLAMPED), both);
+        assert_eq!(
+            both.with_if(true, OffsetFlags::CNC_LOST).with_if(false, OffsetFlags::SLEWING),
+            both
+        );
+        assert!(both.contains(both) && both.contains(OffsetFlags::CLAMPED));
+        assert!(!OffsetFlags::CLAMPED.contains(both));
     }
 
     #[test]
     fn each_flag_has_a_bit_of_its_own_in_their_order() {
         let all = [
-            Flags::CLAMPED,
-            Flags::SLEWING,
-            Flags::SENSOR_FAULT,
-            Flags::SAMPLES_MISSING,
-            Flags::CNC_LOST,
-            Flags::SPEED_UNKNOWN,
-            Flags::OUTSIDE_TABLE,
-            Flags::BOARD_DEGRADED,
+            OffsetFlags::CLAMPED,
+            OffsetFlags::SLEWING,
+            OffsetFlags::SENSOR_FAULT,
+            OffsetFlags::SAMPLES_MISSING,
+            OffsetFlags::CNC_LOST,
+            OffsetFlags::SPEED_UNKNOWN,
+            OffsetFlags::OUTSIDE_TABLE,
+            OffsetFlags::BOARD_DEGRADED,
         ];
         for (number, flag) in all.into_iter().enumerate() {
-            assert_eq!(flag, Flags(1 << number));
+            assert_eq!(flag, OffsetFlags(1 << number));
         }
     }
 }

@@ -203,7 +203,9 @@ impl<'a> Curve<'a> {
             let length = segment.end.0.wrapping_sub(start).cast_unsigned();
             let rising = start < segment.end.0;
             start = segment.end.0;
-            rising && segment.is_sound(length.saturating_sub(core::mem::replace(&mut before, 1)))
+            rising
+                && segment
+                    .is_valid_for_reach(length.saturating_sub(core::mem::replace(&mut before, 1)))
         });
         sound && self.is_index_consistent()
     }

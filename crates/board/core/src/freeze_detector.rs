@@ -4,7 +4,7 @@
 //! just that one. So what counts are swings: a change of two of the converter's steps or more, against the direction
 //! of the change before. They are weighed against the readings without one: noise of half a step RMS has more than
 //! one in 24 wherever it lies between two steps, 0.4 steps have one in 45 at the most and are not judged. A thermometer is lively
-//! once its swings have outweighed the rest by `MAX_LIVELY_WEIGHT`; if it then gives the same reading [`FROZEN_AFTER_READINGS`] times in a
+//! once its swings have outweighed the rest by `MIN_LIVELY_WEIGHT`; if it then gives the same reading [`FROZEN_AFTER_READINGS`] times in a
 //! row (by noise of half a step alone 0.52⁴⁰⁰), it is still.
 //!
 //! Noise that comes from outside, a drive's, ends with the drive, and for all thermometers at once. So one that is
@@ -20,9 +20,9 @@ const SWING_WEIGHT: u16 = 23;
 /// As far as the weight goes: a minute of noise of one step RMS brings it there.
 const MAX_WEIGHT: u16 = 1_000;
 /// Lively up to here: above what is left of the largest weight when a stop has been counted to its end.
-const MAX_LIVELY_WEIGHT: u16 = MAX_WEIGHT - FROZEN_AFTER_READINGS - 100;
+const MIN_LIVELY_WEIGHT: u16 = MAX_WEIGHT - FROZEN_AFTER_READINGS - 100;
 /// One that has changed within 2 s is going.
-const ACTIVE_READINGS: u16 = 20;
+const INACTIVE_AFTER_READINGS: u16 = 20;
 
 /// The state of the check for a frozen thermometer.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,7 +64,7 @@ impl FreezeDetector {
         // By then a steady one has lost as much.
         self.is_still = match self.equal {
             0..FROZEN_AFTER_READINGS => false,
-            FROZEN_AFTER_READINGS => self.weight >= MAX_LIVELY_WEIGHT,
+            FROZEN_AFTER_READINGS => self.weight >= MIN_LIVELY_WEIGHT,
             _ => self.is_still,
         };
     }
@@ -78,7 +78,7 @@ impl FreezeDetector {
     /// Returns whether it is lively, and has changed of late.
     #[must_use]
     pub const fn is_active(&self) -> bool {
-        self.equal < ACTIVE_READINGS && self.weight >= MAX_LIVELY_WEIGHT
+        self.equal < INACTIVE_AFTER_READINGS && self.weight >= MIN_LIVELY_WEIGHT
     }
 }
 

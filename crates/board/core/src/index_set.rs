@@ -23,17 +23,17 @@ const _: () = assert!(MAX_TERMS <= u16::BITS as usize);
 impl IndexSet {
     /// Takes a number in; one above 15 is in no set.
     pub fn insert(&mut self, number: usize) {
-        self.0 |= Self::bit(number);
+        self.0 |= Self::bit_mask(number);
     }
 
     /// Takes a number out.
     pub fn remove(&mut self, number: usize) {
-        self.0 &= !Self::bit(number);
+        self.0 &= !Self::bit_mask(number);
     }
 
     /// Takes a number in, or out.
     pub fn set(&mut self, number: usize, is_in: bool) {
-        let bit = Self::bit(number);
+        let bit = Self::bit_mask(number);
         self.0 = self.0 & !bit | if is_in { bit } else { 0 };
     }
 
@@ -52,7 +52,7 @@ impl IndexSet {
     /// Returns whether a number is in it.
     #[must_use]
     pub fn contains(self, number: usize) -> bool {
-        self.0 & Self::bit(number) != 0
+        self.0 & Self::bit_mask(number) != 0
     }
 
     /// Returns whether every number of `others` is in it.
@@ -67,7 +67,7 @@ impl IndexSet {
         others.0 & self.0 != 0
     }
 
-    fn bit(number: usize) -> u16 {
+    fn bit_mask(number: usize) -> u16 {
         u32::try_from(number).ok().and_then(|number| 1_u16.checked_shl(number)).unwrap_or(0)
     }
 }

@@ -24,9 +24,9 @@
 //! elongation of a millimetre. Two axes cost about 190 instructions on the Cortex-M4.
 
 use crate::{
-    angle::sine_cosine,
+    angle::sin_cos,
     fixed_point::{rounding_shift_right, saturate_to_i32, widening_mul},
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::MicroDegrees,
 };
 
@@ -45,7 +45,7 @@ pub enum RotaryAxis {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Kinematics {
     /// V₀, the tool direction with all angles at zero; of length 1.
-    pub zero: Direction,
+    pub zero: ToolDirection,
     /// The axes that carry the spindle, from the frame to the tool (`head_axes`).
     pub axes: [Option<RotaryAxis>; 2],
 }
@@ -69,16 +69,17 @@ impl Kinematics {
     /// assert_eq!(error, [Nanometres(-250_000), Nanometres(0), Nanometres(-433_013)]);
     /// ```
     #[must_use]
-    pub fn tool_direction(&self, angles: [MicroDegrees; 2]) -> Direction {
+    pub fn tool_direction(&self, angles: [MicroDegrees; 2]) -> ToolDirection {
         let [first, second] = self.axes;
         let [first_angle, second_angle] = angles;
         // No turn makes a vector of length √3 at most longer than that: all sums below fit.
-        let zero = self.zero.0.map(|component| component.clamp(-Direction::ONE, Direction::ONE));
+        let zero =
+            self.zero.0.map(|component| component.clamp(-ToolDirection::ONE, ToolDirection::ONE));
         let by = |axis: Option<RotaryAxis>, angle, vector| match axis {
-            Some(axis) => rotate(axis, sine_cosine(angle), vector, round_q60_to_q30),
+            Some(axis) => rotate(axis, sin_cos(angle), vector, round_q60_to_q30),
             None => vector,
         };
-        Direction(by(first, first_angle, by(second, second_angle, zero)))
+        ToolDirection(by(first, first_angle, by(second, second_angle, zero)))
     }
 }
 
@@ -116,12 +117,12 @@ pub(crate) fn rotate(
 /// Returns a Q60 sum as Q30, rounded to the nearest.
 #[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
 fn round_q60_to_q30(sum: i64) -> i32 {
-    rounding_shift_right(sum, Direction::FRACTION_BITS) as i32
+    rounding_shift_right(sum, ToolDirection::FRACTION_BITS) as i32
 }
 
 /// Returns a sum of products with Q30 in the unit of the other factor, rounded to the nearest; saturates.
 pub(crate) fn round_from_q30(sum: i64) -> i32 {
-    saturate_to_i32(rounding_shift_right(sum, Direction::FRACTION_BITS))
+    saturate_to_i32(rounding_shift_right(sum, ToolDirection::FRACTION_BITS))
 }
 
 #[cfg(test)]
@@ -140,7 +141,7 @@ mod tests {
 
     /// V of a spindle that points down at zero, in f64.
     fn down<const N: usize>(axes: [RotaryAxis; N], angles: [i32; N]) -> [f64; 3] {
-        let mut head = Kinematics { zero: Direction::DOWN, axes: [None; 2] };
+        let mut head = Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] };
         let mut at = [MicroDegrees(0); 2];
         for (i, (axis, angle)) in axes.into_iter().zip(angles).enumerate() {
             head.axes[i] = Some(axis);
@@ -191,9 +192,9 @@ mod tests {
 
     #[test]
     fn without_an_axis_the_angles_do_not_matter() {
-        let table = Kinematics { zero: Direction([3, -4, 5]), axes: [None, None] };
+        let table = Kinematics { zero: ToolDirection([3, -4, 5]), axes: [None, None] };
         assert_eq!(table.tool_direction([degrees(30), degrees(-77)]), table.zero);
-        let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), None] };
+        let head = Kinematics { zero: ToolDirection::DOWN, axes: [Some(RotaryAxis::A), None] };
         let angles =
             [0, 90, -1_000].map(|table| head.tool_direction([degrees(30), degrees(table)]));
         assert!(angles.iter().all(|direction| *direction == angles[0]));
@@ -202,7 +203,7 @@ mod tests {
     #[test]
     fn half_a_millimetre_at_30_degrees_is_exact_to_the_nanometre() {
         for axes in [[Some(RotaryAxis::A), None], [Some(RotaryAxis::C), Some(RotaryAxis::A)]] {
-            let head = Kinematics { zero: Direction::DOWN, axes };
+            let head = Kinematics { zero: ToolDirection::DOWN, axes };
             let angles = if axes[1].is_some() { [0, 30] } else { [30, 0] }.map(degrees);
             let error = head.tool_direction(angles).project_elongation(Nanometres(500_000));
             assert_eq!(error, [Nanometres(0), Nanometres(250_000), Nanometres(-433_013)]);
@@ -221,12 +222,14 @@ mod tests {
         }
 
         /// Returns a unit vector, any direction, rounded to Q30.
-        fn direction(&mut self) -> Direction {
+        fn direction(&mut self) -> ToolDirection {
             loop {
                 let v = [self.next(), self.next(), self.next()].map(f64::from);
                 let length = length(v);
                 if (1e6..2f64.powi(31)).contains(&length) {
-                    return Direction(v.map(|component| (component / length * ONE).round() as i32));
+                    return ToolDirection(
+                        v.map(|component| (component / length * ONE).round() as i32),
+                    );
                 }
             }
         }
@@ -276,7 +279,7 @@ mod tests {
 
     #[test]
     fn a_zero_direction_beyond_1_is_held_to_1_and_never_wraps() {
-        let one = Direction::ONE;
+        let one = ToolDirection::ONE;
         let extremes = [i32::MIN, -one, one, i32::MAX];
         let angles = [i32::MIN, -45_000_000, 54_735_610, i32::MAX];
         for [first, second] in AXES.map(|first| AXES.map(|second| [first, second])).as_flattened() {
@@ -285,8 +288,8 @@ mod tests {
                 let v = [0, 1, 2].map(|digit| pick(extremes, digit));
                 let angles = [3, 4].map(|digit| MicroDegrees(pick(angles, digit)));
                 let axes = [*first, *second];
-                let got = Kinematics { zero: Direction(v), axes }.tool_direction(angles);
-                let held = Kinematics { zero: Direction(v.map(|c| c.clamp(-one, one))), axes };
+                let got = Kinematics { zero: ToolDirection(v), axes }.tool_direction(angles);
+                let held = Kinematics { zero: ToolDirection(v.map(|c| c.clamp(-one, one))), axes };
                 assert_eq!(got, held.tool_direction(angles));
                 let stretched = length(got.0.map(|c| f64::from(c) / ONE)) / 3f64.sqrt();
                 assert!((stretched - 1.0).abs() < 1e-8, "{v:?} {angles:?} {axes:?}");
@@ -296,8 +299,10 @@ mod tests {
 
     #[test]
     fn an_elongation_of_any_length_is_laid_along_a_turned_tool() {
-        let head =
-            Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), Some(RotaryAxis::B)] };
+        let head = Kinematics {
+            zero: ToolDirection::DOWN,
+            axes: [Some(RotaryAxis::A), Some(RotaryAxis::B)],
+        };
         for angle in [i32::MIN, i32::MAX, 0] {
             let direction = head.tool_direction([MicroDegrees(angle); 2]);
             for elongation in [i32::MIN, i32::MAX].map(Nanometres) {

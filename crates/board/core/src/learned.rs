@@ -132,7 +132,10 @@ impl LearnedChanges {
     pub fn apply_to_growth(&self, plain: Nanometres) -> Nanometres {
         let [share, .., zero] = self.now;
         Nanometres(
-            plain.0.saturating_add(scale_by_share(plain.0, share)).saturating_add(zero.into()),
+            plain
+                .0
+                .saturating_add(scale_by_relative_change(plain.0, share))
+                .saturating_add(zero.into()),
         )
     }
 
@@ -142,13 +145,13 @@ impl LearnedChanges {
     pub fn apply_to_expansion(&self, axis: usize, plain: FineNanometres) -> FineNanometres {
         let [_, axes @ .., _] = self.now;
         let share = axes.get(axis).copied().unwrap_or_default();
-        plain.saturating_add(FineNanometres(scale_by_share(plain.0, share)))
+        plain.saturating_add(FineNanometres(scale_by_relative_change(plain.0, share)))
     }
 }
 
 /// This share of a length.
 #[inline]
-fn scale_by_share(length: i32, share: i16) -> i32 {
+fn scale_by_relative_change(length: i32, share: i16) -> i32 {
     mul_high_rounded(length, i32::from(share).wrapping_mul(CHANGE_UNIT_Q32))
 }
 

@@ -185,8 +185,8 @@ pub const fn resistance_from_temperature(t: Temperature) -> MicroOhms {
             * FULL_SCALE_KELVIN
             * 16.0,
     );
-    const MIN_TEMPERATURE: i32 = -200 * Temperature::PER_KELVIN;
-    let w = if t.0 < MIN_TEMPERATURE { MIN_TEMPERATURE } else { t.0 };
+    const MIN_TEMPERATURE_UNITS: i32 = -200 * Temperature::PER_KELVIN;
+    let w = if t.0 < MIN_TEMPERATURE_UNITS { MIN_TEMPERATURE_UNITS } else { t.0 };
     // None of the sums reaches 2³¹: |C1| < 1.7·10⁹, and each product is at most half its factor.
     let mut inner = C2;
     if w < 0 {

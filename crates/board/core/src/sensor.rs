@@ -11,9 +11,9 @@ use crate::{
 
 /// tanβ in nanometres per reading unit, Q28: ±8 nm a unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Slope(pub i32);
+pub struct SensorSlope(pub i32);
 
-impl Slope {
+impl SensorSlope {
     /// Binary places of a slope.
     pub const FRACTION_BITS: u32 = 28;
 }
@@ -26,7 +26,7 @@ pub struct SensorLaw {
     /// V₀, the reading with the machine cold.
     pub zero: Reading,
     /// tanβ in Q28 nm per reading; positive where the reading grows with the spindle.
-    pub slope: Slope,
+    pub slope: SensorSlope,
 }
 
 impl SensorLaw {
@@ -50,7 +50,7 @@ impl SensorLaw {
         let from_zero = i64::from(reading.0).wrapping_sub(i64::from(self.zero.0));
         // 33 bits by 32 and a half: below 2⁶³, so that neither step can wrap.
         let grown = from_zero.wrapping_mul(i64::from(self.slope.0));
-        let grown = rounding_shift_right(grown, Slope::FRACTION_BITS);
+        let grown = rounding_shift_right(grown, SensorSlope::FRACTION_BITS);
         Nanometres::saturating_from(grown.wrapping_add(i64::from(self.k0.0)))
     }
 }
@@ -65,8 +65,11 @@ mod tests {
         let slopes = [1, 31_998_976, -31_998_976, 1 << 30, i32::MAX, i32::MIN];
         let mut worst: f64 = 0.0;
         for slope in slopes {
-            let law =
-                SensorLaw { k0: Nanometres(-123), zero: Reading(646_144), slope: Slope(slope) };
+            let law = SensorLaw {
+                k0: Nanometres(-123),
+                zero: Reading(646_144),
+                slope: SensorSlope(slope),
+            };
             for reading in (0..=4095 * 1024).step_by(61) {
                 let exact =
                     -123.0 + f64::from(reading - 646_144) * f64::from(slope) / 2f64.powi(28);
@@ -79,8 +82,11 @@ mod tests {
 
     #[test]
     fn extremes_saturate() {
-        let steep =
-            |zero| SensorLaw { k0: Nanometres(0), zero: Reading(zero), slope: Slope(i32::MAX) };
+        let steep = |zero| SensorLaw {
+            k0: Nanometres(0),
+            zero: Reading(zero),
+            slope: SensorSlope(i32::MAX),
+        };
         assert_eq!(steep(i32::MIN).elongation(Reading(i32::MAX)).0, i32::MAX);
         assert_eq!(steep(i32::MAX).elongation(Reading(i32::MIN)).0, i32::MIN);
     }

@@ -33,11 +33,11 @@ pub const LOW_RAIL: AdcCode = AdcCode(8);
 /// Codes from here on are at the upper rail.
 pub const HIGH_RAIL: AdcCode = AdcCode(4087);
 /// This many codes at a rail in a row are a fault, fewer are spikes.
-pub const FAULT_AFTER_CODES: u16 = 4;
+pub const RAIL_FAULT_CODES: u16 = 4;
 /// A code at a rail outweighs this many good ones: a sensor that lies at a rail in more than a fifth of
 /// its codes is there, and noise takes it off at times.
 const RAIL_CODE_WEIGHT: u16 = 4;
-const RAIL_FAULT_LEVEL: u16 = FAULT_AFTER_CODES * RAIL_CODE_WEIGHT;
+const RAIL_FAULT_LEVEL: u16 = RAIL_FAULT_CODES * RAIL_CODE_WEIGHT;
 /// This many good codes in a row end a fault: 10 ms.
 pub const RECOVERY_CODES: u16 = 200;
 /// Within it a code follows from the one before, 50 µs ago: 32 codes are 3.9 µm, or 78 mm/s. Run-out of 5 µm at 24,000
@@ -105,14 +105,14 @@ pub struct SensorHealth {
     begun: bool,
     /// Whether the next block begins where that one ended.
     continues: bool,
-    noise: Noise,
+    noise: NoiseStatistics,
     /// The last block with a code at a rail or a wild one, mended.
     mended: [AdcCode; CODES_PER_TICK],
 }
 
 /// Noise of the raw codes since it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Noise {
+pub struct NoiseStatistics {
     /// Sum of the squared second differences, in codes squared.
     pub squares: u32,
     /// How many there are. The RMS noise in codes is √(squares / (6·count)).
@@ -138,7 +138,7 @@ impl Default for SensorHealth {
             before: [AdcCode::default(); 2],
             begun: false,
             continues: false,
-            noise: Noise::default(),
+            noise: NoiseStatistics::default(),
             mended: [AdcCode::default(); CODES_PER_TICK],
         }
     }
@@ -167,7 +167,7 @@ impl SensorHealth {
         let squares = if self.continues { squares } else { squares.and(Some(0)) };
         let is_ordinary = squares.is_some_and(|squares| squares <= self.outlier_threshold());
         let [_, before] = self.before;
-        self.measure_noise(codes, squares);
+        self.accumulate_noise(codes, squares);
         if is_ordinary {
             self.accept_normal_block(codes);
         } else {
@@ -193,7 +193,7 @@ impl SensorHealth {
     }
 
     /// Returns the noise since the last call.
-    pub fn take_noise(&mut self) -> Noise {
+    pub fn take_noise_statistics(&mut self) -> NoiseStatistics {
         core::mem::take(&mut self.noise)
     }
 
@@ -304,7 +304,7 @@ impl SensorHealth {
     }
 
     /// Adds the squared second differences of a block; `None`: a code is at a rail, which is no noise.
-    fn measure_noise(&mut self, codes: &[AdcCode; CODES_PER_TICK], squares: Option<u32>) {
+    fn accumulate_noise(&mut self, codes: &[AdcCode; CODES_PER_TICK], squares: Option<u32>) {
         let [.., last_but_one, last] = codes;
         if let Some(squares) = squares.filter(|_| self.continues) {
             let newest = squares.min(MAX_MEAN_SQUARES);

@@ -19,7 +19,7 @@ use crate::{
 /// Readings of the internal reference that are averaged: 0.32 s at 10 ms each.
 const AVERAGED_READINGS: u32 = 32;
 /// Readings after which a basis is taken: what the first one has left in the mean is 2 %.
-const REFERENCE_READINGS: u32 = 4 * AVERAGED_READINGS;
+const MIN_BASELINE_READINGS: u32 = 4 * AVERAGED_READINGS;
 /// Thousandths of the basis by which the level may differ. The 3.3 V of a board come from a regulator that
 /// is good for 1 to 2 % over temperature and load; 3 % are beyond every one that works.
 const MAX_DEVIATION_PER_MILLE: u32 = 30;
@@ -28,7 +28,7 @@ const RECOVERY_DEVIATION_PER_MILLE: u32 = 28;
 
 /// A level of the internal reference in 1/16 of a code; 0: not known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SupplyLevel(pub u16);
+pub struct InternalReferenceLevel(pub u16);
 
 /// By what readings are multiplied, Q24: 1 where nothing is known of the supply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl SupplyScale {
     /// ```
     /// use trueup_core::{supply::SupplyMonitor, units::{AdcCode, Reading}};
     /// let mut supply = SupplyMonitor::default();
-    /// supply.set_reference_level(trueup_core::supply::SupplyLevel(1500 * 16));
+    /// supply.set_baseline_level(trueup_core::supply::InternalReferenceLevel(1500 * 16));
     /// // The supply has fallen by 1 %: all codes are 1.01 times as large.
     /// (0..1000).for_each(|_| supply.receive(AdcCode(1515)));
     /// let reading = supply.scale().scale_reading(Reading(1_010_000));
@@ -96,7 +96,7 @@ impl SupplyMonitor {
         // Between the two: never negative, never above the largest code.
         let level = i64::from(self.level).wrapping_add(from_level.checked_div(share).unwrap_or(0));
         self.level = u32::try_from(level).unwrap_or(0);
-        if self.basis == 0 && self.received >= REFERENCE_READINGS {
+        if self.basis == 0 && self.received >= MIN_BASELINE_READINGS {
             self.basis = self.level;
         }
         let limit =
@@ -106,19 +106,19 @@ impl SupplyMonitor {
     }
 
     /// Readings count from this level; an unknown one counts as none.
-    pub fn set_reference_level(&mut self, basis: SupplyLevel) {
+    pub fn set_baseline_level(&mut self, basis: InternalReferenceLevel) {
         self.basis = u32::from(basis.0) << Self::LEVEL_SHIFT;
         self.is_off = false;
     }
 
     /// Returns the level from which readings count.
     #[must_use]
-    pub fn reference_level(&self) -> SupplyLevel {
-        SupplyLevel(u16::try_from(self.basis >> Self::LEVEL_SHIFT).unwrap_or(0))
+    pub fn baseline_level(&self) -> InternalReferenceLevel {
+        InternalReferenceLevel(u16::try_from(self.basis >> Self::LEVEL_SHIFT).unwrap_or(0))
     }
 
     /// The basis is taken anew.
-    pub fn reset_reference_level(&mut self) {
+    pub fn reset_baseline_level(&mut self) {
         *self = Self::default();
     }
 
@@ -143,7 +143,7 @@ mod tests {
 
     fn settled(basis: u16, code: u16) -> SupplyMonitor {
         let mut supply = SupplyMonitor::default();
-        supply.set_reference_level(SupplyLevel(basis * 16));
+        supply.set_baseline_level(InternalReferenceLevel(basis * 16));
         (0..2_000).for_each(|_| supply.receive(AdcCode(code)));
         supply
     }
@@ -179,15 +179,15 @@ mod tests {
     #[test]
     fn without_a_stored_basis_the_first_one_and_a_quarter_second_is_it() {
         let mut supply = SupplyMonitor::default();
-        for n in 0..REFERENCE_READINGS {
+        for n in 0..MIN_BASELINE_READINGS {
             assert_eq!(
-                (supply.reference_level(), supply.scale()),
-                (SupplyLevel(0), SupplyScale::ONE),
+                (supply.baseline_level(), supply.scale()),
+                (InternalReferenceLevel(0), SupplyScale::ONE),
                 "{n}"
             );
             supply.receive(AdcCode(1500));
         }
-        assert_eq!(supply.reference_level(), SupplyLevel(1500 * 16));
+        assert_eq!(supply.baseline_level(), InternalReferenceLevel(1500 * 16));
         assert_eq!(supply.scale(), SupplyScale::ONE);
     }
 
@@ -196,11 +196,11 @@ mod tests {
         let mut supply = SupplyMonitor::default();
         let mut seed = 5;
         // ±4 codes, evenly: 2.3 codes RMS.
-        for _ in 0..REFERENCE_READINGS {
+        for _ in 0..MIN_BASELINE_READINGS {
             supply.receive(AdcCode(1496 + (crate::testing::next_random(&mut seed) % 9) as u16));
         }
         // Of 2.6 codes RMS the mean leaves 0.33: within four of them.
-        assert!((i32::from(supply.reference_level().0) - 1500 * 16).abs() < 4 * 16 * 33 / 100 + 1);
+        assert!((i32::from(supply.baseline_level().0) - 1500 * 16).abs() < 4 * 16 * 33 / 100 + 1);
     }
 
     #[test]
@@ -217,7 +217,7 @@ mod tests {
         for basis in [0, 1, u16::MAX] {
             for code in [0, 1, 4095, u16::MAX] {
                 let mut supply = SupplyMonitor::default();
-                supply.set_reference_level(SupplyLevel(basis));
+                supply.set_baseline_level(InternalReferenceLevel(basis));
                 (0..300).for_each(|_| supply.receive(AdcCode(code)));
                 for raw in [i32::MIN, -1, 0, 1, i32::MAX] {
                     let scaled = supply.scale().scale_raw(raw);
@@ -230,15 +230,15 @@ mod tests {
     #[test]
     fn a_basis_that_is_forgotten_is_taken_anew() {
         let mut supply = settled(1500, 1400);
-        supply.reset_reference_level();
+        supply.reset_baseline_level();
         assert_eq!(
-            (supply.reference_level(), supply.scale(), supply.is_out_of_tolerance()),
-            (SupplyLevel(0), SupplyScale::ONE, false)
+            (supply.baseline_level(), supply.scale(), supply.is_out_of_tolerance()),
+            (InternalReferenceLevel(0), SupplyScale::ONE, false)
         );
-        (0..REFERENCE_READINGS).for_each(|_| supply.receive(AdcCode(1400)));
+        (0..MIN_BASELINE_READINGS).for_each(|_| supply.receive(AdcCode(1400)));
         assert_eq!(
-            (supply.reference_level(), supply.is_out_of_tolerance()),
-            (SupplyLevel(1400 * 16), false)
+            (supply.baseline_level(), supply.is_out_of_tolerance()),
+            (InternalReferenceLevel(1400 * 16), false)
         );
     }
 }

@@ -33,7 +33,7 @@ pub struct TemperatureChannel {
 impl TemperatureChannel {
     /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited`].
     pub fn receive(&mut self, reading: Option<Temperature>) {
-        self.receive_rate_limited(
+        self.receive_rate_limited_reading(
             reading.ok_or(ThermometerFault::Missing),
             &RateLimit::default(),
             false,
@@ -46,7 +46,7 @@ impl TemperatureChannel {
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
     /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
     /// any is taken until this many have agreed: a converter's first results are none, or not yet settled.
-    pub fn receive_rate_limited(
+    pub fn receive_rate_limited_reading(
         &mut self,
         reading: Result<Temperature, ThermometerFault>,
         limit: &RateLimit,
@@ -159,7 +159,7 @@ impl TemperatureChannels {
         let agrees = reading.is_ok_and(|now| self.has_agreeing_partner(limit.partners, now));
         let reading = if is_stuck { Err(ThermometerFault::Missing) } else { reading };
         let channel = self.channels.get_mut(number)?;
-        channel.receive_rate_limited(reading, limit, agrees);
+        channel.receive_rate_limited_reading(reading, limit, agrees);
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),
@@ -214,13 +214,13 @@ impl TemperatureChannels {
 
     /// Returns the channels whose last readings came too fast and are not believed.
     #[must_use]
-    pub const fn doubtful_channels(&self) -> IndexSet {
+    pub const fn uncertain_channels(&self) -> IndexSet {
         self.doubtful
     }
 
     /// Returns whether the last reading of a channel was a good one; of one that does not exist none is.
     #[must_use]
-    pub fn is_current(&self, channel: u8) -> bool {
+    pub fn has_valid_last_reading(&self, channel: u8) -> bool {
         self.channels
             .get(usize::from(channel))
             .is_some_and(|channel| channel.temperature.is_some() && channel.bad == 0)

@@ -33,8 +33,10 @@ mod sum;
 mod tests;
 mod tilt;
 
-pub use category::{ConditionLevels, Factor, ToolTable, UNIT_STEP};
-pub use effect::{Effect, HEAT_SLOPE_BITS, SpeedExponent, Target, Term, Terms, heat_terms};
+pub use category::{CategoryFactor, ConditionLevels, ToolTable, UNIT_STEP};
+pub use effect::{
+    Effect, HEAT_SLOPE_BITS, SpeedExponent, Target, Term, Terms, thermal_term_indices,
+};
 pub use evaluation_order::{category_factor, elongation_term_count};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, apply_elongation_terms, compute_axis_errors};

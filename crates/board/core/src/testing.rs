@@ -5,7 +5,7 @@ use crate::{
     dimensions::CHANNEL_COUNT,
     kinematics::Kinematics,
     limits::Limits,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::{Nanometres, Temperature},
 };
 
@@ -20,7 +20,7 @@ pub fn minimal_calibration() -> Calibration<'static> {
     Calibration {
         thermometers: [None; CHANNEL_COUNT],
         spindle: Default::default(),
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
         axes: Default::default(),
         straightness: Default::default(),
         squareness: Default::default(),

@@ -9,7 +9,7 @@
 
 use crate::{
     calibration::Calibration,
-    cnc::Conditions,
+    cnc::MachineConditions,
     dimensions::{CHANNEL_COUNT, MAX_TERMS},
     gradient::Gradient,
     index_set::IndexSet,
@@ -153,7 +153,7 @@ impl MachineThermalState {
     /// the thermometers.
     // Once in the image.
     #[inline(never)]
-    pub fn step_unknown(&mut self, is_cold: bool) {
+    pub fn step_unknown_state(&mut self, is_cold: bool) {
         if is_cold && self.is_unknown() {
             let terms = self.terms.without_thermal_state();
             *self = Self { learned: self.learned, terms, ..Self::default() };
@@ -235,7 +235,7 @@ impl MachineThermalState {
     pub fn set_conditions(
         &mut self,
         calibration: &Calibration<'_>,
-        conditions: Option<Conditions>,
+        conditions: Option<MachineConditions>,
     ) {
         self.terms.set_conditions(&calibration.terms, conditions);
     }

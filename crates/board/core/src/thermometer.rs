@@ -181,7 +181,7 @@ fn is_at_rail(RawReading(raw): RawReading) -> bool {
 mod tests {
     use super::*;
     use crate::{
-        supply::{SupplyLevel, SupplyMonitor},
+        supply::{InternalReferenceLevel, SupplyMonitor},
         units::AdcCode,
     };
     extern crate std;
@@ -324,7 +324,7 @@ mod tests {
     #[test]
     fn a_linear_chain_is_measured_by_the_supply_and_a_pt100_is_not() {
         let mut supply = SupplyMonitor::default();
-        supply.set_reference_level(SupplyLevel(1_500 * 16));
+        supply.set_baseline_level(InternalReferenceLevel(1_500 * 16));
         (0..500).for_each(|_| supply.receive(AdcCode(1_515)));
         let scale = Some(supply.scale());
         let at = |raw: i32, scale| PAPER.convert_with_supply(RawReading(raw), scale);

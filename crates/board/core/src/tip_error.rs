@@ -10,7 +10,7 @@
 use crate::{
     calibration::ElongationSource,
     thermal_state::MachineThermalState,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::{FineNanometres, Nanometres},
 };
 
@@ -49,7 +49,7 @@ pub fn source_elongation(
 #[inline]
 pub fn compute_tip_error(
     elongation: Nanometres,
-    direction: Direction,
+    direction: ToolDirection,
     axes: [FineNanometres; 3],
     largest: [FineNanometres; 3],
 ) -> ([FineNanometres; 3], bool) {
@@ -81,8 +81,8 @@ mod tests {
     #[test]
     fn the_clamp_of_any_axis_and_of_several_at_once_is_reported() {
         // Growth of 100 nm along (0.48, 0.64, −0.6): every part is above 40 nm.
-        let share = |share: f64| (share * f64::from(Direction::ONE)) as i32;
-        let direction = Direction([0.48, 0.64, -0.6].map(share));
+        let share = |share: f64| (share * f64::from(ToolDirection::ONE)) as i32;
+        let direction = ToolDirection([0.48, 0.64, -0.6].map(share));
         for bits in 0..8_u8 {
             let largest = [0, 1, 2]
                 .map(|axis| FineNanometres(if bits & 1 << axis == 0 { 25_600 } else { 256 }));

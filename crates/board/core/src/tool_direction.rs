@@ -7,9 +7,9 @@ use crate::{
 
 /// A unit vector in Q30: 2³⁰ is 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Direction(pub [i32; 3]);
+pub struct ToolDirection(pub [i32; 3]);
 
-impl Direction {
+impl ToolDirection {
     /// 1 in this format.
     pub const ONE: i32 = 1 << Self::FRACTION_BITS;
     /// Binary places of a component.
@@ -18,7 +18,7 @@ impl Direction {
     pub const DOWN: Self = Self([0, 0, -Self::ONE]);
 }
 
-impl Direction {
+impl ToolDirection {
     /// Lays an elongation s along the tool: the error s·V of the tool tip on X, Y and Z.
     ///
     /// Each component is rounded to the nearest nanometre.
@@ -51,7 +51,7 @@ impl Direction {
     /// ```
     #[must_use]
     pub fn project_elongation_fine(self, elongation: Nanometres) -> [FineNanometres; 3] {
-        const EXCESS_BITS: u32 = Direction::FRACTION_BITS - FineNanometres::FRACTION_BITS;
+        const EXCESS_BITS: u32 = ToolDirection::FRACTION_BITS - FineNanometres::FRACTION_BITS;
         self.0.map(|component| {
             let along = widening_mul(component, elongation.0);
             FineNanometres::saturating_from(rounding_shift_right(along, EXCESS_BITS))
@@ -67,25 +67,26 @@ mod tests {
     #[test]
     fn half_a_millimetre_at_30_degrees_is_a_quarter_and_0_433() {
         // A = +30° about +X turns (0, 0, −1) into (0, sin 30°, −cos 30°).
-        let one = f64::from(Direction::ONE);
-        let tilted = Direction([0, (0.5 * one) as i32, (-(0.75_f64.sqrt()) * one).round() as i32]);
+        let one = f64::from(ToolDirection::ONE);
+        let tilted =
+            ToolDirection([0, (0.5 * one) as i32, (-(0.75_f64.sqrt()) * one).round() as i32]);
         let error = tilted.project_elongation(Nanometres(500_000));
         assert_eq!(error, [Nanometres(0), Nanometres(250_000), Nanometres(-433_013)]);
     }
 
     #[test]
     fn the_extremes_neither_wrap_nor_panic() {
-        let error = Direction([i32::MIN, i32::MAX, 0]).project_elongation(Nanometres(i32::MIN));
+        let error = ToolDirection([i32::MIN, i32::MAX, 0]).project_elongation(Nanometres(i32::MIN));
         assert_eq!(error, [Nanometres(i32::MAX), Nanometres(i32::MIN), Nanometres(0)]);
     }
 
     #[test]
     fn a_fine_error_is_f64_rounded_to_a_256th_of_a_nanometre() {
         let mut worst: f64 = 0.0;
-        for component in (-Direction::ONE..=Direction::ONE).step_by(1_234_567) {
+        for component in (-ToolDirection::ONE..=ToolDirection::ONE).step_by(1_234_567) {
             for elongation in (-8_388_607..=8_388_607).step_by(9_973) {
                 let exact = f64::from(component) * f64::from(elongation) / 2f64.powi(22);
-                let [x, y, z] = Direction([component, 0, -component])
+                let [x, y, z] = ToolDirection([component, 0, -component])
                     .project_elongation_fine(Nanometres(elongation));
                 assert_eq!(y, FineNanometres::ZERO);
                 worst = worst.max((f64::from(x.0) - exact).abs());
@@ -98,7 +99,7 @@ mod tests {
 
     #[test]
     fn a_fine_error_rounds_to_the_error() {
-        let tilted = Direction([-123_456_789, 536_870_912, -919_000_000]);
+        let tilted = ToolDirection([-123_456_789, 536_870_912, -919_000_000]);
         for elongation in (-8_388_607..=8_388_607).step_by(997) {
             let error = tilted.project_elongation(Nanometres(elongation));
             let fine =
@@ -112,7 +113,7 @@ mod tests {
     #[test]
     fn a_fine_error_beyond_8_mm_saturates() {
         for elongation in [8_388_608, i32::MAX] {
-            let error = Direction([Direction::ONE, i32::MIN, 0])
+            let error = ToolDirection([ToolDirection::ONE, i32::MIN, 0])
                 .project_elongation_fine(Nanometres(elongation));
             assert_eq!(
                 error,
@@ -120,7 +121,7 @@ mod tests {
             );
         }
         let error =
-            Direction([i32::MIN, i32::MAX, 0]).project_elongation_fine(Nanometres(i32::MIN));
+            ToolDirection([i32::MIN, i32::MAX, 0]).project_elongation_fine(Nanometres(i32::MIN));
         assert_eq!(error, [FineNanometres(i32::MAX), FineNanometres(i32::MIN), FineNanometres(0)]);
     }
 }

@@ -186,7 +186,7 @@ impl ReversalTracker {
             self.direction = direction;
             self.furthest = p;
         } else {
-            if self.is_beyond(p) {
+            if self.is_beyond_furthest(p) {
                 self.advance(config, self.furthest.0.abs_diff(p.0));
                 self.furthest = p;
             }
@@ -205,7 +205,7 @@ impl ReversalTracker {
     }
 
     /// Returns whether `p` is further in the present direction than any position before.
-    fn is_beyond(&self, p: Position) -> bool {
+    fn is_beyond_furthest(&self, p: Position) -> bool {
         if self.direction < 0 { p < self.furthest } else { p > self.furthest }
     }
 

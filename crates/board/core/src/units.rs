@@ -174,7 +174,7 @@ pub struct TimestampMs(pub u32);
 impl TimestampMs {
     /// Milliseconds since `earlier`, right across the wrap, for intervals below 49.7 days.
     #[must_use]
-    pub fn duration_since(self, earlier: Self) -> u32 {
+    pub fn duration_ms_since(self, earlier: Self) -> u32 {
         self.0.wrapping_sub(earlier.0)
     }
 
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn the_clock_is_right_across_its_wrap() {
         let before = TimestampMs(u32::MAX - 4);
-        assert_eq!(before.wrapping_add_ms(10).duration_since(before), 10);
+        assert_eq!(before.wrapping_add_ms(10).duration_ms_since(before), 10);
         assert_eq!(before.wrapping_add_ms(10), TimestampMs(5));
     }
 

@@ -25,7 +25,7 @@
 //! poses: 0.1 nm (`fixed_point/volume.rs` of `trueup-machine`).
 
 use crate::{
-    angle::sine_cosine,
+    angle::sin_cos,
     cnc::LinearAxis,
     curve::Curve,
     fixed_point::{rounding_shift_right, saturate_to_i32, widening_mul},
@@ -60,7 +60,7 @@ const MOVES_WORKPIECE_BIT: u8 = 1 << 3;
 impl Default for KinematicChain {
     /// X, Y and Z move the tool, in this order.
     fn default() -> Self {
-        Self::from_places([0, 1, 2], 0)
+        Self::from_chain_indices([0, 1, 2], 0)
     }
 }
 
@@ -69,16 +69,16 @@ impl KinematicChain {
     /// `on_workpiece` move the workpiece; `None` unless each axis stands there once.
     #[must_use]
     pub fn new(order: [LinearAxis; 3], on_workpiece: u8) -> Option<Self> {
-        const UNPLACED: u8 = 3;
-        let mut places = [UNPLACED; 3];
+        const UNASSIGNED_INDEX: u8 = 3;
+        let mut places = [UNASSIGNED_INDEX; 3];
         for (place, axis) in (0..).zip(order) {
             *places.get_mut(axis as usize)? = place;
         }
-        (!places.contains(&UNPLACED) && on_workpiece <= UNPLACED)
-            .then(|| Self::from_places(places, on_workpiece))
+        (!places.contains(&UNASSIGNED_INDEX) && on_workpiece <= UNASSIGNED_INDEX)
+            .then(|| Self::from_chain_indices(places, on_workpiece))
     }
 
-    fn from_places(places: [u8; 3], on_workpiece: u8) -> Self {
+    fn from_chain_indices(places: [u8; 3], on_workpiece: u8) -> Self {
         let levers = places.map(|own| {
             let moves_tool = own >= on_workpiece;
             // The part that moves the workpiece does not move with the tip: its own position counts.
@@ -238,7 +238,7 @@ impl VolumetricErrorModel<'_> {
     }
 
     /// Returns the tip from the spindle nose, and the errors of the axes that turn the tool.
-    fn compute_tip(&self, place: &MachinePosition) -> (Vector, Vector) {
+    fn compute_tip_and_tool_error(&self, place: &MachinePosition) -> (Vector, Vector) {
         let (mut tip, mut error) = (to_vector(self.tool), [0; 3]);
         let ([first, second], [of_first, of_second]) = (&self.rotary, place.angles);
         // From the tool to the frame. A `zip` that is reversed could panic, for all that the compiler knows.
@@ -246,7 +246,7 @@ impl VolumetricErrorModel<'_> {
             let Some(rotary) = rotary.as_ref().filter(|location| !location.moves_workpiece) else {
                 continue;
             };
-            let turn = sine_cosine(angle);
+            let turn = sin_cos(angle);
             let lever =
                 rotate_vector(rotary.axis, turn, subtract_vectors(tip, to_vector(rotary.point)));
             if !is_zero(error) {
@@ -270,7 +270,7 @@ impl VolumetricErrorModel<'_> {
         let (mut shift, mut tilt) = (first.shift.map(|shift| shift.0), first.tilt);
         if let Some(second) = of_workpiece.next().filter(|location| !location.is_nominal()) {
             let [angle, _] = place.angles;
-            let (sine, cosine) = sine_cosine(angle);
+            let (sine, cosine) = sin_cos(angle);
             let back = |vector| rotate_vector(first.axis, (sine.saturating_neg(), cosine), vector);
             let between = subtract_vectors(to_vector(first.point), to_vector(second.point));
             shift = add_vectors(shift, back(second.location_error(between)));
@@ -307,7 +307,7 @@ impl CachedVolumetricErrors {
         volume: &VolumetricErrorModel<'_>,
         place: &MachinePosition,
     ) {
-        (self.tip, self.of_tool) = volume.compute_tip(place);
+        (self.tip, self.of_tool) = volume.compute_tip_and_tool_error(place);
         self.of_table = volume.compute_workpiece_error(place);
         for (cached, guide) in self.guides.iter_mut().zip(&volume.guides) {
             cached.arm = subtract_vectors(self.tip, to_vector(guide.point));

@@ -8,10 +8,10 @@ mod drawn;
 use proptest::{prelude::*, sample::select, strategy::ValueTree as _, test_runner::TestRunner};
 use trueup_core::{
     axis_errors::CachedErrors,
-    bridge::{Bridge, Input, State},
+    bridge::{Bridge, State, TickInput},
     cnc::{
-        AxisPosition, CncMessage, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
-        TravelDirection,
+        AxisPosition, CncMessage, Control, LinearAxis, OffsetFlags, OffsetQuality, Output,
+        RotaryAxisAngles, SpindleState, TravelDirection,
     },
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     index_set::IndexSet,
@@ -33,10 +33,10 @@ fn command() -> impl Strategy<Value = CncMessage> {
             CncMessage::Control(Control { engage, referenced, zero, ..Control::default() })
         }),
         1 => (any::<u16>(), any::<i16>()).prop_map(|(speed, load_n)| {
-            CncMessage::Spindle(Spindle { speed: Rpm(speed), load_n })
+            CncMessage::Spindle(SpindleState { speed: Rpm(speed), load_n })
         }),
         1 => numbers().prop_map(|angles| {
-            CncMessage::Rotary(Rotary { angles: angles.map(MicroDegrees) })
+            CncMessage::Rotary(RotaryAxisAngles { angles: angles.map(MicroDegrees) })
         }),
         3 => (select(&LinearAxis::ALL), number(), heading).prop_map(|(axis, to, direction)| {
             CncMessage::Position(AxisPosition { axis, position: Position(to), direction })
@@ -57,7 +57,7 @@ fn greeting() -> impl Strategy<Value = Vec<CncMessage>> {
         });
         let control = Control::ENGAGED;
         let others = [
-            CncMessage::Rotary(Rotary { angles: angles.map(MicroDegrees) }),
+            CncMessage::Rotary(RotaryAxisAngles { angles: angles.map(MicroDegrees) }),
             CncMessage::Control(control),
         ];
         positions.chain(others).collect()
@@ -130,14 +130,14 @@ fn live_with(
             let output = bridge.tick(
                 &mut state,
                 now,
-                Input {
+                TickInput {
                     codes: codes.as_ref(),
                     speed: phase.speed.map(Rpm),
                     temperatures: temperatures.as_ref(),
                 },
             );
             let is_doubted = bridge.lost_inputs(&state).too_fast != IndexSet::default();
-            watch(output, now.duration_since(before), is_doubted);
+            watch(output, now.duration_ms_since(before), is_doubted);
             before = now;
         }
     }
@@ -195,23 +195,23 @@ proptest! {
         live(&machine, &phases, |output, _, is_doubted| {
             let offset = nanometres(&output);
             let Output { quality, flags, .. } = output;
-            assert_eq!(output.offset.is_none(), quality == Quality::Fault);
+            assert_eq!(output.offset.is_none(), quality == OffsetQuality::Fault);
             match quality {
-                Quality::Off => assert_eq!(offset, [0; 3]),
+                OffsetQuality::Off => assert_eq!(offset, [0; 3]),
                 // A temperature that changed too fast is held; positions are followed.
-                Quality::Hold if is_doubted => {}
-                Quality::Hold => {
+                OffsetQuality::Hold if is_doubted => {}
+                OffsetQuality::Hold => {
                     assert_eq!(offset, before);
-                    assert!(!flags.contains(Flags::SLEWING) && !flags.contains(Flags::CLAMPED));
+                    assert!(!flags.contains(OffsetFlags::SLEWING) && !flags.contains(OffsetFlags::CLAMPED));
                 }
-                Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel => {
-                    assert!(!flags.contains(Flags::CNC_LOST));
+                OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel => {
+                    assert!(!flags.contains(OffsetFlags::CNC_LOST));
                 }
-                Quality::RampingOut | Quality::Fault => {
-                    assert!(!flags.contains(Flags::OUTSIDE_TABLE));
+                OffsetQuality::RampingOut | OffsetQuality::Fault => {
+                    assert!(!flags.contains(OffsetFlags::OUTSIDE_TABLE));
                 }
             }
-            assert!(!flags.contains(Flags::BOARD_DEGRADED), "that is for the board to say");
+            assert!(!flags.contains(OffsetFlags::BOARD_DEGRADED), "that is for the board to say");
             before = offset;
         });
     }
@@ -243,7 +243,7 @@ proptest! {
         let calibration = machine.calibration();
         let mut heat = MachineThermalState::default();
         let mut place = MachinePosition::default();
-        let mut cached = CachedErrors::from_place(&calibration, &heat, &place);
+        let mut cached = CachedErrors::from_position(&calibration, &heat, &place);
         for (number, (axis, position, direction)) in moves.into_iter().enumerate() {
             let position = Position(position);
             place.position[axis as usize] = position;
@@ -254,7 +254,7 @@ proptest! {
             assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
             let item = number % 3;
             heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNEL_COUNT], None);
-            cached.update_axis_heat(&calibration, &heat, &place, LinearAxis::ALL[item]);
+            cached.update_axis_thermal_error(&calibration, &heat, &place, LinearAxis::ALL[item]);
             cached.sum_parts(&calibration, &place);
             assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
         }

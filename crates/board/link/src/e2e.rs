@@ -84,7 +84,7 @@ impl Checker {
     /// The frame must not be used. After [`E2eError::WrongSequence`] the checker has moved to the
     /// counter of the refused frame, so the next in order is accepted: a restarted sender is back
     /// after one frame. After every other error the checker is as before.
-    pub fn accept(&mut self, frame: &Frame) -> Result<u8, E2eError> {
+    pub fn check(&mut self, frame: &Frame) -> Result<u8, E2eError> {
         let &[low, high, ref covered @ ..] = frame.payload() else {
             return Err(E2eError::TooShort { len: frame.len() });
         };
@@ -155,7 +155,7 @@ mod tests {
 
     fn checker_after(counter: u8) -> Checker {
         let mut checker = Checker::new(ID);
-        assert_eq!(checker.accept(&frame(counter)), Ok(0));
+        assert_eq!(checker.check(&frame(counter)), Ok(0));
         checker
     }
 
@@ -181,22 +181,22 @@ mod tests {
             data[bit / 8] ^= 1 << (bit % 8);
             let bad = Frame::new(ID, &data).unwrap();
             let mut checker = checker_after(6);
-            assert!(matches!(checker.accept(&bad), Err(E2eError::Crc { .. })), "bit {bit}");
-            assert_eq!(checker.accept(&good), Ok(0));
+            assert!(matches!(checker.check(&bad), Err(E2eError::Crc { .. })), "bit {bit}");
+            assert_eq!(checker.check(&good), Ok(0));
         }
     }
 
     #[test]
     fn a_frame_under_another_identifier_is_refused() {
         let mut checker = Checker::new(0x202);
-        assert!(matches!(checker.accept(&frame(0)), Err(E2eError::Crc { .. })));
+        assert!(matches!(checker.check(&frame(0)), Err(E2eError::Crc { .. })));
     }
 
     #[test]
     fn a_repeated_frame_is_refused_and_the_next_is_accepted() {
         let mut checker = checker_after(9);
-        assert_eq!(checker.accept(&frame(9)), Err(E2eError::Repeated { counter: 9 }));
-        assert_eq!(checker.accept(&frame(10)), Ok(0));
+        assert_eq!(checker.check(&frame(9)), Err(E2eError::Repeated { counter: 9 }));
+        assert_eq!(checker.check(&frame(10)), Ok(0));
     }
 
     #[test]
@@ -210,8 +210,8 @@ mod tests {
                 } else {
                     Err(E2eError::WrongSequence { last, counter })
                 };
-                assert_eq!(checker.accept(&frame(counter)), expected);
-                assert_eq!(checker.accept(&frame(counter.wrapping_add(1))), Ok(0));
+                assert_eq!(checker.check(&frame(counter)), expected);
+                assert_eq!(checker.check(&frame(counter.wrapping_add(1))), Ok(0));
             }
         }
     }
@@ -221,7 +221,7 @@ mod tests {
         for len in 0..3 {
             let short = Frame::new(ID, &[0; 8][..len]).unwrap();
             assert_eq!(
-                Checker::new(ID).accept(&short),
+                Checker::new(ID).check(&short),
                 Err(E2eError::TooShort { len: short.len() })
             );
         }

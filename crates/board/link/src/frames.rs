@@ -6,8 +6,8 @@
 
 use trueup_core::{
     cnc::{
-        AxisPosition, Conditions, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
-        TravelDirection,
+        AxisPosition, Control, LinearAxis, MachineConditions, OffsetFlags, OffsetQuality, Output,
+        RotaryAxisAngles, SpindleState, TravelDirection,
     },
     learned::ChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
@@ -25,7 +25,7 @@ use crate::{
     layout::{
         ANGLE_1, ANGLE_2, CONDITIONS, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
         LEARNED_PART, LOAD, MAX_OFFSET_RAW, MICRO_DEGREES_PER_BIT, NANOMETRES_PER_BIT, NMT_STATE,
-        NOT_AVAILABLE_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SAMPLE_AGE,
+        NO_OFFSET_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SAMPLE_AGE,
         SERVICE, SPEED, TOOL, ZERO,
     },
     signal::Signal,
@@ -44,9 +44,9 @@ pub struct OffsetZ {
     /// Offset on Z; `None`: not available.
     pub offset: Option<Nanometres>,
     /// How good the offsets on all three axes are.
-    pub quality: Quality,
+    pub quality: OffsetQuality,
     /// Why they are not simply the full correction.
-    pub flags: Flags,
+    pub flags: OffsetFlags,
     /// Milliseconds since the newest sample; 255 stands for all beyond.
     pub age_ms: u8,
 }
@@ -97,7 +97,7 @@ impl NmtState {
 pub fn encode_offset_xy(output: &Output, counter: u8) -> Frame {
     let [x, y] = match output.offset {
         Some([x, y, _]) => [offset_to_raw(x), offset_to_raw(y)],
-        None => [NOT_AVAILABLE_RAW; 2],
+        None => [NO_OFFSET_RAW; 2],
     };
     let mut data = [0; 8];
     OFFSET_X.insert(&mut data, x);
@@ -110,7 +110,7 @@ pub fn encode_offset_xy(output: &Output, counter: u8) -> Frame {
 pub fn encode_offset_z(output: &Output, counter: u8) -> Frame {
     let z = match output.offset {
         Some([_, _, z]) => offset_to_raw(z),
-        None => NOT_AVAILABLE_RAW,
+        None => NO_OFFSET_RAW,
     };
     let mut data = [0; 8];
     OFFSET_Z.insert(&mut data, z);
@@ -131,7 +131,7 @@ pub fn encode_heartbeat(state: NmtState) -> Frame {
 
 /// `Spindle`: speed and load, from the CNC. `counter` counts the frames of this identifier.
 #[must_use]
-pub fn encode_spindle(spindle: Spindle, counter: u8) -> Frame {
+pub fn encode_spindle(spindle: SpindleState, counter: u8) -> Frame {
     let mut data = [0; 8];
     SPEED.insert(&mut data, spindle.speed.0.into());
     LOAD.insert(&mut data, spindle.load_n.into());
@@ -167,7 +167,7 @@ pub fn encode_control(control: Control, counter: u8) -> Frame {
 /// assert_eq!(frames::decode_conditions(&frame), Ok(sent));
 /// ```
 #[must_use]
-pub fn encode_conditions(conditions: Conditions, counter: u8) -> Frame {
+pub fn encode_conditions(conditions: MachineConditions, counter: u8) -> Frame {
     let mut data = [0; 8];
     TOOL.insert(&mut data, conditions.tool.into());
     CONDITIONS.insert(&mut data, conditions.bits.into());
@@ -177,13 +177,13 @@ pub fn encode_conditions(conditions: Conditions, counter: u8) -> Frame {
 /// Returns how a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
 /// frames without it, with the counters 0, 1 and 2.
 #[must_use]
-pub fn release_sequence() -> [Frame; 3] {
+pub fn disengaged_control_frames() -> [Frame; 3] {
     [0, 1, 2].map(|counter| encode_control(Control::REFERENCED, counter))
 }
 
 /// Returns the identifier of `PositionX`, `PositionY` or `PositionZ`.
 #[must_use]
-pub const fn position_id(axis: LinearAxis) -> u16 {
+pub const fn position_frame_id(axis: LinearAxis) -> u16 {
     match axis {
         LinearAxis::X => POSITION_X_ID,
         LinearAxis::Y => POSITION_Y_ID,
@@ -212,13 +212,13 @@ pub fn encode_position(position: AxisPosition, counter: u8) -> Frame {
     let mut data = [0; 8];
     POSITION.insert(&mut data, position.position.0);
     DIRECTION.insert(&mut data, position.direction as i32);
-    build_protected_frame(position_id(position.axis), counter, data)
+    build_protected_frame(position_frame_id(position.axis), counter, data)
 }
 
 /// `Rotary`, from the CNC: angles are rounded to 0.0005°, halves away from zero, and saturate at
 /// −262.144° and +262.1435°. `counter` counts the frames of this identifier.
 #[must_use]
-pub fn encode_rotary(rotary: Rotary, counter: u8) -> Frame {
+pub fn encode_rotary(rotary: RotaryAxisAngles, counter: u8) -> Frame {
     let mut data = [0; 8];
     let [first, second] =
         rotary.angles.map(|angle| divide_rounded::<MICRO_DEGREES_PER_BIT>(angle.0));
@@ -232,7 +232,7 @@ pub fn encode_rotary(rotary: Rotary, counter: u8) -> Frame {
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_offset_xy(frame: &Frame) -> Result<OffsetXy, DecodeError> {
-    let data = frame_data(frame, OFFSET_XY_ID, 8)?;
+    let data = checked_frame_data(frame, OFFSET_XY_ID, 8)?;
     let x = offset_from_raw(OFFSET_X.extract(data));
     let y = offset_from_raw(OFFSET_Y.extract(data));
     Ok(OffsetXy { offset: x.zip(y).map(|(x, y)| [x, y]) })
@@ -243,13 +243,13 @@ pub fn decode_offset_xy(frame: &Frame) -> Result<OffsetXy, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a quality that has no meaning.
 pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
-    let data = frame_data(frame, OFFSET_Z_ID, 8)?;
+    let data = checked_frame_data(frame, OFFSET_Z_ID, 8)?;
     let quality = extract_byte(QUALITY, data);
     Ok(OffsetZ {
         offset: offset_from_raw(OFFSET_Z.extract(data)),
-        quality: Quality::from_wire(quality)
+        quality: OffsetQuality::from_wire(quality)
             .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
-        flags: Flags(extract_byte(FLAGS, data)),
+        flags: OffsetFlags(extract_byte(FLAGS, data)),
         age_ms: extract_byte(SAMPLE_AGE, data),
     })
 }
@@ -259,7 +259,7 @@ pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a state that CiA 301 does not define.
 pub fn decode_heartbeat(frame: &Frame) -> Result<NmtState, DecodeError> {
-    let state = extract_byte(NMT_STATE, frame_data(frame, HEARTBEAT_ID, 1)?);
+    let state = extract_byte(NMT_STATE, checked_frame_data(frame, HEARTBEAT_ID, 1)?);
     NmtState::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state.into() })
 }
 
@@ -267,11 +267,11 @@ pub fn decode_heartbeat(frame: &Frame) -> Result<NmtState, DecodeError> {
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
-pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
-    let data = frame_data(frame, SPINDLE_ID, 8)?;
+pub fn decode_spindle(frame: &Frame) -> Result<SpindleState, DecodeError> {
+    let data = checked_frame_data(frame, SPINDLE_ID, 8)?;
     let [speed_low, speed_high, ..] = SPEED.extract(data).to_le_bytes();
     let [load_low, load_high, ..] = LOAD.extract(data).to_le_bytes();
-    Ok(Spindle {
+    Ok(SpindleState {
         speed: Rpm(u16::from_le_bytes([speed_low, speed_high])),
         load_n: i16::from_le_bytes([load_low, load_high]),
     })
@@ -282,7 +282,7 @@ pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
-    let data = frame_data(frame, CONTROL_ID, 8)?;
+    let data = checked_frame_data(frame, CONTROL_ID, 8)?;
     // Both lie in whole bytes.
     let [_, _, _, _, amount_low, amount_high, crc_low, crc_high] = *data;
     Ok(Control {
@@ -303,11 +303,11 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
-pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
+pub fn decode_conditions(frame: &Frame) -> Result<MachineConditions, DecodeError> {
     // Both lie in whole bytes.
     let [_, _, _, tool_low, tool_high, bits_low, bits_high, _] =
-        *frame_data(frame, CONDITIONS_ID, 8)?;
-    Ok(Conditions {
+        *checked_frame_data(frame, CONDITIONS_ID, 8)?;
+    Ok(MachineConditions {
         tool: u16::from_le_bytes([tool_low, tool_high]),
         bits: u16::from_le_bytes([bits_low, bits_high]),
     })
@@ -318,7 +318,7 @@ pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a direction that has no meaning.
 pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, DecodeError> {
-    let data = frame_data(frame, position_id(axis), 8)?;
+    let data = checked_frame_data(frame, position_frame_id(axis), 8)?;
     let raw = DIRECTION.extract(data);
     let direction = i8::try_from(raw).ok().and_then(TravelDirection::from_wire);
     Ok(AxisPosition {
@@ -332,11 +332,11 @@ pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, 
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
-pub fn decode_rotary(frame: &Frame) -> Result<Rotary, DecodeError> {
-    let data = frame_data(frame, ROTARY_ID, 8)?;
+pub fn decode_rotary(frame: &Frame) -> Result<RotaryAxisAngles, DecodeError> {
+    let data = checked_frame_data(frame, ROTARY_ID, 8)?;
     let angle =
         |signal: Signal| MicroDegrees(signal.extract(data).saturating_mul(MICRO_DEGREES_PER_BIT));
-    Ok(Rotary { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
+    Ok(RotaryAxisAngles { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
 }
 
 /// Returns the E2E counter of a protected frame; 0 if the frame is too short to have one.
@@ -354,7 +354,7 @@ pub(crate) fn build_protected_frame(id: u16, counter: u8, mut data: [u8; 8]) -> 
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
-pub fn frame_data(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
+pub fn checked_frame_data(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
     if frame.id() != id {
         return Err(DecodeError::Identifier { expected: id, found: frame.id() });
     }
@@ -385,7 +385,7 @@ fn offset_to_raw(offset: Nanometres) -> i32 {
 }
 
 fn offset_from_raw(raw: i32) -> Option<Nanometres> {
-    (raw != NOT_AVAILABLE_RAW).then(|| Nanometres(raw.saturating_mul(NANOMETRES_PER_BIT)))
+    (raw != NO_OFFSET_RAW).then(|| Nanometres(raw.saturating_mul(NANOMETRES_PER_BIT)))
 }
 
 /// Why a frame cannot be decoded.

@@ -52,7 +52,7 @@ pub const STATUS_PERIOD_MS: u32 = 100;
 /// Shortest time in milliseconds between two frames of the bridge other than offsets.
 pub const MIN_SERVICE_FRAME_INTERVAL_MS: u32 = 2;
 /// Shortest time in milliseconds between two emergencies, until a master sets another.
-pub const EMERGENCY_INHIBIT_MS: u32 = 10;
+pub const EMERGENCY_INHIBIT_TIME_MS: u32 = 10;
 /// Shortest time in milliseconds between two position frames of one axis.
 pub const POSITION_PERIOD_MS: u32 = 2;
 /// Shortest time in milliseconds between two `Rotary` frames.
@@ -69,7 +69,7 @@ pub const NANOMETRES_PER_BIT: i32 = 10;
 /// The largest offset on the wire either way, in bits: ±5.242 87 mm.
 pub const MAX_OFFSET_RAW: i32 = 524_287;
 /// The raw offset that means "not available".
-pub const NOT_AVAILABLE_RAW: i32 = -524_288;
+pub const NO_OFFSET_RAW: i32 = -524_288;
 /// Micro-degrees in one bit of an angle.
 pub const MICRO_DEGREES_PER_BIT: i32 = 500;
 
@@ -78,7 +78,7 @@ pub const NO_TEMPERATURE_RAW: i32 = -32_768;
 /// The raw elongation that means "not available".
 pub const NO_ELONGATION_RAW: i32 = i32::MIN;
 /// The raw constant that means "not available".
-pub const NO_CONSTANT_RAW: i32 = -32_768;
+pub const NO_OFFSET_CONSTANT_RAW: i32 = -32_768;
 
 #[cfg(test)]
 mod tests;

@@ -15,12 +15,12 @@ use crate::{
     },
     layout::STATUS_ID,
     status::{self, FrameRejectReason, Status},
-    stream::{Stream, StreamError},
+    stream::{FrameStream, StreamError},
 };
 
 /// Counts of frames since the start. Each stops at its largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct FrameCounters {
     /// Frames that were used.
     pub accepted: u32,
     /// Frames of a wrong length, or with a value that has no meaning.
@@ -33,14 +33,14 @@ pub struct Counters {
     pub lost: u32,
 }
 
-impl Counters {
+impl FrameCounters {
     const ZERO: Self =
         Self { accepted: 0, malformed: 0, crc_errors: 0, sequence_errors: 0, lost: 0 };
 
     /// Checks the protection of a frame, reads it, and counts how that went.
     fn verify_and_decode<T>(
         &mut self,
-        stream: &mut Stream,
+        stream: &mut FrameStream,
         frame: &Frame,
         decode: impl FnOnce(&Frame) -> Result<T, DecodeError>,
     ) -> Result<T, ReceiveError> {
@@ -80,30 +80,30 @@ fn saturating_increment(counter: &mut u32) {
 
 /// The board's ear for the CNC: every frame that it sends, each identifier with its own sequence.
 #[derive(Clone, Copy, Debug)]
-pub struct Receiver {
-    position_x: Stream,
-    position_y: Stream,
-    position_z: Stream,
-    rotary: Stream,
-    spindle: Stream,
-    control: Stream,
-    conditions: Stream,
-    counters: Counters,
+pub struct CncReceiver {
+    position_x: FrameStream,
+    position_y: FrameStream,
+    position_z: FrameStream,
+    rotary: FrameStream,
+    spindle: FrameStream,
+    control: FrameStream,
+    conditions: FrameStream,
+    counters: FrameCounters,
 }
 
-impl Receiver {
+impl CncReceiver {
     /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            position_x: Stream::new(POSITION_X_ID),
-            position_y: Stream::new(POSITION_Y_ID),
-            position_z: Stream::new(POSITION_Z_ID),
-            rotary: Stream::new(ROTARY_ID),
-            spindle: Stream::new(SPINDLE_ID),
-            control: Stream::new(CONTROL_ID),
-            conditions: Stream::new(CONDITIONS_ID),
-            counters: Counters::ZERO,
+            position_x: FrameStream::new(POSITION_X_ID),
+            position_y: FrameStream::new(POSITION_Y_ID),
+            position_z: FrameStream::new(POSITION_Z_ID),
+            rotary: FrameStream::new(ROTARY_ID),
+            spindle: FrameStream::new(SPINDLE_ID),
+            control: FrameStream::new(CONTROL_ID),
+            conditions: FrameStream::new(CONDITIONS_ID),
+            counters: FrameCounters::ZERO,
         }
     }
 
@@ -113,7 +113,7 @@ impl Receiver {
     /// A frame for the bridge that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Option<CncMessage>, ReceiveError> {
         let counters = &mut self.counters;
-        let mut position = |axis: LinearAxis, stream: &mut Stream| {
+        let mut position = |axis: LinearAxis, stream: &mut FrameStream| {
             counters
                 .verify_and_decode(stream, frame, |frame| frames::decode_position(axis, frame))
                 .map(CncMessage::Position)
@@ -148,7 +148,7 @@ impl Receiver {
 
     /// Returns whether a frame with this identifier is one that a CNC sends.
     #[must_use]
-    pub const fn is_from_cnc(id: u16) -> bool {
+    pub const fn is_cnc_frame_id(id: u16) -> bool {
         matches!(
             id,
             POSITION_X_ID
@@ -163,12 +163,12 @@ impl Receiver {
 
     /// Returns what has arrived so far.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> FrameCounters {
         self.counters
     }
 }
 
-impl Default for Receiver {
+impl Default for CncReceiver {
     fn default() -> Self {
         Self::new()
     }
@@ -176,7 +176,7 @@ impl Default for Receiver {
 
 /// Half a cycle's offsets, waiting for the other half.
 #[derive(Clone, Copy, Debug)]
-enum PendingHalf {
+enum PendingOffsetHalf {
     Xy(OffsetXy),
     Z(OffsetZ),
 }
@@ -188,10 +188,10 @@ enum PendingHalf {
 /// and in less than 256 ms, after which a counter comes round again.
 #[derive(Clone, Copy, Debug)]
 pub struct OffsetReceiver {
-    xy: Stream,
-    z: Stream,
-    waiting: Option<(u8, PendingHalf)>,
-    counters: Counters,
+    xy: FrameStream,
+    z: FrameStream,
+    waiting: Option<(u8, PendingOffsetHalf)>,
+    counters: FrameCounters,
     unpaired: u32,
 }
 
@@ -200,10 +200,10 @@ impl OffsetReceiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            xy: Stream::new(OFFSET_XY_ID),
-            z: Stream::new(OFFSET_Z_ID),
+            xy: FrameStream::new(OFFSET_XY_ID),
+            z: FrameStream::new(OFFSET_Z_ID),
             waiting: None,
-            counters: Counters::ZERO,
+            counters: FrameCounters::ZERO,
             unpaired: 0,
         }
     }
@@ -217,12 +217,12 @@ impl OffsetReceiver {
     /// A frame with offsets that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Option<Output>, ReceiveError> {
         let half = match frame.id() {
-            OFFSET_XY_ID => PendingHalf::Xy(self.counters.verify_and_decode(
+            OFFSET_XY_ID => PendingOffsetHalf::Xy(self.counters.verify_and_decode(
                 &mut self.xy,
                 frame,
                 frames::decode_offset_xy,
             )?),
-            OFFSET_Z_ID => PendingHalf::Z(self.counters.verify_and_decode(
+            OFFSET_Z_ID => PendingOffsetHalf::Z(self.counters.verify_and_decode(
                 &mut self.z,
                 frame,
                 frames::decode_offset_z,
@@ -231,10 +231,14 @@ impl OffsetReceiver {
         };
         let counter = frames::e2e_counter(frame);
         match (self.waiting.take(), half) {
-            (Some((first, PendingHalf::Xy(xy))), PendingHalf::Z(z)) if first == counter => {
+            (Some((first, PendingOffsetHalf::Xy(xy))), PendingOffsetHalf::Z(z))
+                if first == counter =>
+            {
                 Ok(Some(combine_offsets(xy, z)))
             }
-            (Some((first, PendingHalf::Z(z))), PendingHalf::Xy(xy)) if first == counter => {
+            (Some((first, PendingOffsetHalf::Z(z))), PendingOffsetHalf::Xy(xy))
+                if first == counter =>
+            {
                 Ok(Some(combine_offsets(xy, z)))
             }
             (left_alone, half) => {
@@ -249,7 +253,7 @@ impl OffsetReceiver {
 
     /// Returns what has arrived so far, in frames.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> FrameCounters {
         self.counters
     }
 
@@ -269,15 +273,15 @@ impl Default for OffsetReceiver {
 /// An ear for the bridge's `Status`.
 #[derive(Clone, Copy, Debug)]
 pub struct StatusReceiver {
-    stream: Stream,
-    counters: Counters,
+    stream: FrameStream,
+    counters: FrameCounters,
 }
 
 impl StatusReceiver {
     /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { stream: Stream::new(STATUS_ID), counters: Counters::ZERO }
+        Self { stream: FrameStream::new(STATUS_ID), counters: FrameCounters::ZERO }
     }
 
     /// Returns what this frame says.
@@ -290,7 +294,7 @@ impl StatusReceiver {
 
     /// Returns what has arrived so far, in frames.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> FrameCounters {
         self.counters
     }
 }
@@ -342,7 +346,7 @@ impl ReceiveError {
 
     /// Returns the reason, as in a status frame: of a frame whose stream is not trusted, why that is.
     #[must_use]
-    pub const fn reason(&self) -> FrameRejectReason {
+    pub const fn reject_reason(&self) -> FrameRejectReason {
         match self {
             Self::Decode(_) => FrameRejectReason::Malformed,
             Self::E2e(error) | Self::Untrusted(error) => match error {

@@ -42,13 +42,13 @@ impl Signal {
 
     /// Returns the smallest raw value.
     #[must_use]
-    pub const fn min(self) -> i32 {
-        if self.signed || self.length == 32 { !self.max() } else { 0 }
+    pub const fn min_raw(self) -> i32 {
+        if self.signed || self.length == 32 { !self.max_raw() } else { 0 }
     }
 
     /// Returns the largest raw value.
     #[must_use]
-    pub const fn max(self) -> i32 {
+    pub const fn max_raw(self) -> i32 {
         let is_pattern = self.signed || self.length == 32;
         let magnitude_bits = self.length.saturating_sub(is_pattern as u8);
         1_i32.wrapping_shl(magnitude_bits as u32).wrapping_sub(1)
@@ -58,7 +58,7 @@ impl Signal {
     pub fn insert(self, data: &mut [u8; 8], raw: i32) {
         let start = u32::from(self.start);
         let mask = u64::MAX.wrapping_shr(64_u32.saturating_sub(self.length.into()));
-        let held = raw.clamp(self.min(), self.max()).cast_unsigned();
+        let held = raw.clamp(self.min_raw(), self.max_raw()).cast_unsigned();
         let others = u64::from_le_bytes(*data) & !mask.wrapping_shl(start);
         *data = (others | (u64::from(held) & mask).wrapping_shl(start)).to_le_bytes();
     }
@@ -85,17 +85,17 @@ mod tests {
 
     #[test]
     fn the_range_follows_from_length_and_sign() {
-        assert_eq!(Signal::signed(24, 20).min(), -524_288);
-        assert_eq!(Signal::signed(24, 20).max(), 524_287);
-        assert_eq!(Signal::unsigned(0, 31).max(), i32::MAX);
-        assert_eq!(Signal::unsigned(24, 1).max(), 1);
+        assert_eq!(Signal::signed(24, 20).min_raw(), -524_288);
+        assert_eq!(Signal::signed(24, 20).max_raw(), 524_287);
+        assert_eq!(Signal::unsigned(0, 31).max_raw(), i32::MAX);
+        assert_eq!(Signal::unsigned(24, 1).max_raw(), 1);
         assert_eq!(
-            (Signal::signed(24, 32).min(), Signal::signed(24, 32).max()),
+            (Signal::signed(24, 32).min_raw(), Signal::signed(24, 32).max_raw()),
             (i32::MIN, i32::MAX)
         );
-        assert_eq!((Signal::signed(56, 2).min(), Signal::signed(56, 2).max()), (-2, 1));
-        assert_eq!(Signal::signed(0, 1).min(), -1);
-        assert_eq!(Signal::signed(0, 1).max(), 0);
+        assert_eq!((Signal::signed(56, 2).min_raw(), Signal::signed(56, 2).max_raw()), (-2, 1));
+        assert_eq!(Signal::signed(0, 1).min_raw(), -1);
+        assert_eq!(Signal::signed(0, 1).max_raw(), 0);
     }
 
     prop_compose! {
@@ -113,7 +113,7 @@ mod tests {
             let raw = raw >> shift;
             let mut data = before;
             signal.insert(&mut data, raw);
-            prop_assert_eq!(signal.extract(&data), raw.clamp(signal.min(), signal.max()));
+            prop_assert_eq!(signal.extract(&data), raw.clamp(signal.min_raw(), signal.max_raw()));
             // Writing back what was there before restores every bit only if no other bit moved.
             signal.insert(&mut data, signal.extract(&before));
             prop_assert_eq!(data, before);

@@ -60,11 +60,11 @@ fn encode_line_bytes(frame: &Frame) -> ([u8; MAX_FRAME_LINE_LEN], usize) {
     for (place, byte) in data.as_chunks_mut::<2>().0.iter_mut().zip(frame.payload()) {
         *place = [hex_digit(byte >> 4), hex_digit(*byte)];
     }
-    (line, line_length(frame))
+    (line, frame_line_length(frame))
 }
 
 /// Characters of a frame's line: 5, two of each byte, and the end.
-fn line_length(frame: &Frame) -> usize {
+fn frame_line_length(frame: &Frame) -> usize {
     usize::from(frame.len()).saturating_mul(2).saturating_add(6)
 }
 
@@ -217,7 +217,7 @@ pub enum SlcanError {
         len: usize,
     },
     /// The line goes on where it should end.
-    #[error("line goes on at {at} with '{}'", escaped(*.found))]
+    #[error("line goes on at {at} with '{}'", escape_byte(*.found))]
     Trailing {
         /// Position of the first character too many.
         at: usize,
@@ -225,10 +225,10 @@ pub enum SlcanError {
         found: u8,
     },
     /// There is no such command.
-    #[error("no command '{}'", escaped(*.0))]
+    #[error("no command '{}'", escape_byte(*.0))]
     Command(u8),
     /// The command is known, but not with this parameter.
-    #[error("command '{}' does not take '{}'", escaped(*.command), escaped(*.found))]
+    #[error("command '{}' does not take '{}'", escape_byte(*.command), escape_byte(*.found))]
     Parameter {
         /// The command's letter, in ASCII.
         command: u8,
@@ -236,7 +236,7 @@ pub enum SlcanError {
         found: u8,
     },
     /// Not a hexadecimal digit.
-    #[error("'{}' at {at} is not a hexadecimal digit", escaped(*.found))]
+    #[error("'{}' at {at} is not a hexadecimal digit", escape_byte(*.found))]
     NotHex {
         /// Position of the character.
         at: usize,
@@ -247,17 +247,17 @@ pub enum SlcanError {
     #[error("identifier 0x{0:X} is too large")]
     Identifier(u32),
     /// The number of data bytes is not 0…8.
-    #[error("number of bytes '{}' is not 0…8", escaped(*.0))]
+    #[error("number of bytes '{}' is not 0…8", escape_byte(*.0))]
     DataLength(u8),
     /// Not a data frame with a standard identifier, but a line that starts with this character.
-    #[error("'{}' does not start a standard data frame", escaped(*.0))]
+    #[error("'{}' does not start a standard data frame", escape_byte(*.0))]
     NotData(u8),
     /// A frame to be sent while the channel is closed, or open to listen only.
-    #[error("'{}' while the channel is not open to send", escaped(*.0))]
+    #[error("'{}' while the channel is not open to send", escape_byte(*.0))]
     NotOpen(u8),
 }
 
-fn escaped(byte: u8) -> EscapeDefault {
+fn escape_byte(byte: u8) -> EscapeDefault {
     char::from(byte).escape_default()
 }
 

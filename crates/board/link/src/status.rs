@@ -24,9 +24,9 @@ use crate::{
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
-        CALIBRATION_CRC, ELONGATION, FIRST_COUNT, FIRST_TEMPERATURE, LAST_REFUSED, NO_CONSTANT_RAW,
-        NO_ELONGATION_RAW, NO_TEMPERATURE_RAW, OFFSET_CONSTANT, OFFSET_SLOPE, SECOND_COUNT,
-        SECOND_TEMPERATURE, STATE_BITS, STATUS_ID, STATUS_ITEM,
+        CALIBRATION_CRC, ELONGATION, FIRST_COUNT, FIRST_TEMPERATURE, LAST_REFUSED,
+        NO_ELONGATION_RAW, NO_OFFSET_CONSTANT_RAW, NO_TEMPERATURE_RAW, OFFSET_CONSTANT,
+        OFFSET_SLOPE, SECOND_COUNT, SECOND_TEMPERATURE, STATE_BITS, STATUS_ID, STATUS_ITEM,
     },
 };
 
@@ -34,10 +34,10 @@ use crate::{
 pub const MAX_ITEM_NUMBER: u8 = 13;
 
 /// How many frames it takes until each item has come, with slopes.
-pub const FRAMES_PER_CYCLE: u8 = 15;
+pub const STATUS_FRAMES_PER_CYCLE: u8 = 15;
 
 /// The items in the order in which they come; without a slope only the first [`ITEM_COUNT_WITHOUT_SLOPES`] of them.
-pub const ITEM_SEQUENCE: [u8; FRAMES_PER_CYCLE as usize] =
+pub const ITEM_SEQUENCE: [u8; STATUS_FRAMES_PER_CYCLE as usize] =
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
 /// How many of [`ITEM_SEQUENCE`] a bridge without a slope sends.
 pub const ITEM_COUNT_WITHOUT_SLOPES: u8 = 11;
@@ -50,7 +50,7 @@ pub struct Status {
     /// Why a frame of the CNC was last refused.
     pub last_refused: FrameRejectReason,
     /// The item that this frame carries.
-    pub item: Item,
+    pub item: StatusItem,
 }
 
 /// Why a frame of the CNC was refused. The numbers are those on the wire.
@@ -87,7 +87,7 @@ impl FrameRejectReason {
 
 /// Item of a `Status` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Item {
+pub enum StatusItem {
     /// Two temperature channels.
     Temperatures {
         /// Which two, 0…3: channels 2·n and 2·n + 1. A larger number counts as 3.
@@ -313,36 +313,36 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
     let mut data = [0; 8];
     LAST_REFUSED.insert(&mut data, status.last_refused as i32);
     let number = match status.item {
-        Item::Temperatures { pair, centi_c: [low, high] } => {
+        StatusItem::Temperatures { pair, centi_c: [low, high] } => {
             FIRST_TEMPERATURE.insert(&mut data, low.map_or(NO_TEMPERATURE_RAW, i32::from));
             SECOND_TEMPERATURE.insert(&mut data, high.map_or(NO_TEMPERATURE_RAW, i32::from));
             pair.min(3)
         }
-        Item::Elongation(elongation) => {
+        StatusItem::Elongation(elongation) => {
             ELONGATION
                 .insert(&mut data, elongation.map_or(NO_ELONGATION_RAW, |elongation| elongation.0));
             4
         }
-        Item::Refused { damaged, out_of_sequence } => {
+        StatusItem::Refused { damaged, out_of_sequence } => {
             insert_counts(&mut data, 5, damaged, out_of_sequence)
         }
-        Item::Received { malformed, lost } => insert_counts(&mut data, 6, malformed, lost),
-        Item::Board { noise_thousandths, faults } => {
+        StatusItem::Received { malformed, lost } => insert_counts(&mut data, 6, malformed, lost),
+        StatusItem::Board { noise_thousandths, faults } => {
             insert_counts(&mut data, 7, noise_thousandths, faults)
         }
-        Item::State(StateBits(bits)) => {
+        StatusItem::State(StateBits(bits)) => {
             STATE_BITS.insert(&mut data, bits.cast_signed());
             8
         }
-        Item::Reset { reason, free_stack } => {
+        StatusItem::Reset { reason, free_stack } => {
             insert_counts(&mut data, 9, reason as u16, free_stack)
         }
-        Item::Calibration(crc) => {
+        StatusItem::Calibration(crc) => {
             CALIBRATION_CRC.insert(&mut data, crc.cast_signed());
             10
         }
-        Item::Slope { axis, constant, slope } => {
-            OFFSET_CONSTANT.insert(&mut data, constant.map_or(NO_CONSTANT_RAW, i32::from));
+        StatusItem::Slope { axis, constant, slope } => {
+            OFFSET_CONSTANT.insert(&mut data, constant.map_or(NO_OFFSET_CONSTANT_RAW, i32::from));
             OFFSET_SLOPE.insert(&mut data, slope.into());
             axis.min(SLOPE_AXIS_COUNT.saturating_sub(1)).saturating_add(ITEM_COUNT_WITHOUT_SLOPES)
         }
@@ -362,7 +362,7 @@ fn insert_counts(data: &mut [u8; 8], item: u8, low: u16, high: u16) -> u8 {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or an item or a reason that has no meaning.
 pub fn decode(frame: &Frame) -> Result<Status, DecodeError> {
-    let data = frames::frame_data(frame, STATUS_ID, 8)?;
+    let data = frames::checked_frame_data(frame, STATUS_ID, 8)?;
     let reason = frames::extract_byte(LAST_REFUSED, data);
     let last_refused = FrameRejectReason::from_wire(reason)
         .ok_or(DecodeError::Value { signal: "LastRefused", raw: reason.into() })?;
@@ -377,30 +377,35 @@ pub fn decode(frame: &Frame) -> Result<Status, DecodeError> {
     let item = match frames::extract_byte(STATUS_ITEM, data) {
         pair @ 0..=3 => {
             let centi_c = [FIRST_TEMPERATURE, SECOND_TEMPERATURE].map(temperature);
-            Item::Temperatures { pair, centi_c }
+            StatusItem::Temperatures { pair, centi_c }
         }
         4 => {
             let raw = ELONGATION.extract(data);
-            Item::Elongation((raw != NO_ELONGATION_RAW).then_some(Nanometres(raw)))
+            StatusItem::Elongation((raw != NO_ELONGATION_RAW).then_some(Nanometres(raw)))
         }
-        5 => Item::Refused { damaged: count(FIRST_COUNT), out_of_sequence: count(SECOND_COUNT) },
-        6 => Item::Received { malformed: count(FIRST_COUNT), lost: count(SECOND_COUNT) },
-        7 => Item::Board { noise_thousandths: count(FIRST_COUNT), faults: count(SECOND_COUNT) },
-        8 => Item::State(StateBits(STATE_BITS.extract(data).cast_unsigned())),
+        5 => StatusItem::Refused {
+            damaged: count(FIRST_COUNT),
+            out_of_sequence: count(SECOND_COUNT),
+        },
+        6 => StatusItem::Received { malformed: count(FIRST_COUNT), lost: count(SECOND_COUNT) },
+        7 => {
+            StatusItem::Board { noise_thousandths: count(FIRST_COUNT), faults: count(SECOND_COUNT) }
+        }
+        8 => StatusItem::State(StateBits(STATE_BITS.extract(data).cast_unsigned())),
         9 => {
             let raw = count(FIRST_COUNT);
             let reason = ResetReason::from_wire(raw)
                 .ok_or(DecodeError::Value { signal: "ResetReason", raw: raw.into() })?;
-            Item::Reset { reason, free_stack: count(SECOND_COUNT) }
+            StatusItem::Reset { reason, free_stack: count(SECOND_COUNT) }
         }
-        10 => Item::Calibration(CALIBRATION_CRC.extract(data).cast_unsigned()),
+        10 => StatusItem::Calibration(CALIBRATION_CRC.extract(data).cast_unsigned()),
         number @ ITEM_COUNT_WITHOUT_SLOPES..=MAX_ITEM_NUMBER => {
             let short = |signal: crate::signal::Signal| i16::try_from(signal.extract(data));
-            Item::Slope {
+            StatusItem::Slope {
                 axis: number.saturating_sub(ITEM_COUNT_WITHOUT_SLOPES),
                 constant: short(OFFSET_CONSTANT)
                     .ok()
-                    .filter(|raw| i32::from(*raw) != NO_CONSTANT_RAW),
+                    .filter(|raw| i32::from(*raw) != NO_OFFSET_CONSTANT_RAW),
                 slope: short(OFFSET_SLOPE).unwrap_or_default(),
             }
         }

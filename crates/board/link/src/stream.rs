@@ -63,7 +63,7 @@ pub enum StreamState {
 
 /// The frames of one identifier, one after the other.
 #[derive(Clone, Copy, Debug)]
-pub struct Stream {
+pub struct FrameStream {
     checker: Checker,
     trust: StreamState,
     /// The last frames, the newest in bit 0: whole and in order.
@@ -74,7 +74,7 @@ pub struct Stream {
     last_error: Option<E2eError>,
 }
 
-impl Stream {
+impl FrameStream {
     /// Returns a stream of which no frame was received; `data_id` is the CAN identifier of its frames.
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
@@ -87,7 +87,7 @@ impl Stream {
     /// # Errors
     /// The frame must not be used: for what it is, as [`Checker::accept`], or for what came before it.
     pub fn accept(&mut self, frame: &Frame) -> Result<u8, StreamError> {
-        let verdict = self.checker.accept(frame);
+        let verdict = self.checker.check(frame);
         let is_damaged = matches!(verdict, Err(E2eError::Crc { .. } | E2eError::TooShort { .. }));
         self.update_state(verdict.is_ok(), is_damaged);
         match verdict {

@@ -55,7 +55,7 @@ pub const MIN_POLL_PERIOD_MS: u32 = 80;
 pub const READINGS_PER_FAULT_CHECK: u32 = 96;
 
 /// Binary places of the ratio.
-const RATIO_BITS: u32 = 15;
+const RATIO_FRACTION_BITS: u32 = 15;
 /// The addresses for writing begin here.
 const WRITE_BIT: u8 = 0x80;
 /// The registers, from the first to the last, are read in one go: this address, and eight bytes.
@@ -89,7 +89,7 @@ const FAULT_THRESHOLDS: [u8; 4] = {
     reason = "run by the compiler, which refuses to build what overflows; a test checks the result"
 )]
 const fn ratio_from_resistance(resistance: MicroOhms) -> u16 {
-    ((((resistance.0 as u64) << RATIO_BITS) / REFERENCE_RESISTANCE.0 as u64) << 1) as u16
+    ((((resistance.0 as u64) << RATIO_FRACTION_BITS) / REFERENCE_RESISTANCE.0 as u64) << 1) as u16
 }
 
 /// Bits that are latched in the fault register.
@@ -257,11 +257,11 @@ impl ConverterRegisters {
     }
 
     fn resistance(&self) -> MicroOhms {
-        const HALF: i64 = 1 << (RATIO_BITS - 1);
+        const HALF: i64 = 1 << (RATIO_FRACTION_BITS - 1);
         let [_, high, low, ..] = self.0;
         let ratio = i64::from(u16::from_be_bytes([high, low]) >> 1);
         let scaled = ratio.saturating_mul(i64::from(REFERENCE_RESISTANCE.0)).saturating_add(HALF);
-        MicroOhms(i32::try_from(scaled >> RATIO_BITS).unwrap_or(i32::MAX))
+        MicroOhms(i32::try_from(scaled >> RATIO_FRACTION_BITS).unwrap_or(i32::MAX))
     }
 }
 

@@ -7,7 +7,8 @@
 
 use trueup_core::{
     cnc::{
-        AxisPosition, CncMessage, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection,
+        AxisPosition, CncMessage, Control, LinearAxis, MachineConditions, RotaryAxisAngles,
+        SpindleState, TravelDirection,
     },
     units::{MicroDegrees, Position, Rpm},
 };
@@ -59,11 +60,11 @@ pub struct CncData {
     /// Where X, Y and Z are sent; `None`: the control does not say.
     pub positions: [Option<AxisPosition>; 3],
     /// Where the rotary axes are sent.
-    pub rotary: Option<Rotary>,
+    pub rotary: Option<RotaryAxisAngles>,
     /// The spindle's speed and load.
-    pub spindle: Option<Spindle>,
+    pub spindle: Option<SpindleState>,
     /// The tool and the conditions; `None`: the control does not say.
-    pub conditions: Option<Conditions>,
+    pub conditions: Option<MachineConditions>,
 }
 
 impl CncData {
@@ -95,20 +96,20 @@ impl CncData {
             }
         }
         write_u16(&mut block, DIRECTIONS, directions);
-        if let Some(Rotary { angles }) = self.rotary {
+        if let Some(RotaryAxisAngles { angles }) = self.rotary {
             for (place, angle) in [ANGLE_1, ANGLE_2].into_iter().zip(angles) {
                 let raw = angle.0.wrapping_div(MICRO_DEGREES_PER_BIT);
                 write_u32(&mut block, place, raw.cast_unsigned());
             }
         }
-        if let Some(Spindle { speed, load_n }) = self.spindle {
+        if let Some(SpindleState { speed, load_n }) = self.spindle {
             write_u16(&mut block, SPEED, speed.0);
             write_u16(&mut block, LOAD, load_n.cast_unsigned());
         }
         if let Some(first) = block.first_chunk_mut::<HOLDING_LEN>() {
             write_crc(first, HOLDING_DATA_ID);
         }
-        if let Some(Conditions { tool, bits }) = self.conditions {
+        if let Some(MachineConditions { tool, bits }) = self.conditions {
             write_u16(&mut block, TOOL, tool);
             write_u16(&mut block, CONDITION_BITS, bits);
             write_crc(&mut block, CONDITIONS_DATA_ID);
@@ -144,14 +145,16 @@ impl CncData {
         let rotary = if present & ROTARY_PRESENT == 0 {
             None
         } else {
-            Some(Rotary { angles: [angle(ANGLE_1)?, angle(ANGLE_2)?].map(MicroDegrees) })
+            Some(RotaryAxisAngles { angles: [angle(ANGLE_1)?, angle(ANGLE_2)?].map(MicroDegrees) })
         };
-        let spindle = Spindle {
+        let spindle = SpindleState {
             speed: Rpm(read_u16(block, SPEED)),
             load_n: read_u16(block, LOAD).cast_signed(),
         };
-        let conditions =
-            Conditions { tool: read_u16(block, TOOL), bits: read_u16(block, CONDITION_BITS) };
+        let conditions = MachineConditions {
+            tool: read_u16(block, TOOL),
+            bits: read_u16(block, CONDITION_BITS),
+        };
         Some(Self {
             control: Control {
                 engage: bit(0),
@@ -286,14 +289,14 @@ mod tests {
                 None,
                 at(LinearAxis::Z, 1, TravelDirection::Positive),
             ],
-            rotary: Some(Rotary { angles: [30_000_000, -500].map(MicroDegrees) }),
-            spindle: Some(Spindle { speed: Rpm(24_000), load_n: -1 }),
+            rotary: Some(RotaryAxisAngles { angles: [30_000_000, -500].map(MicroDegrees) }),
+            spindle: Some(SpindleState { speed: Rpm(24_000), load_n: -1 }),
             conditions: None,
         }
     }
 
     fn with_tool(tool: u16, bits: u16) -> CncData {
-        CncData { conditions: Some(Conditions { tool, bits }), ..decoded() }
+        CncData { conditions: Some(MachineConditions { tool, bits }), ..decoded() }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The input block: what the bridge says, to and from registers.
 
 use trueup_core::{
-    cnc::{Flags, Output, Quality},
+    cnc::{OffsetFlags, OffsetQuality, Output},
     dimensions::CHANNEL_COUNT,
     units::Nanometres,
 };
@@ -98,8 +98,8 @@ impl InputBlock {
             counter: read_u16(block, COUNTER),
             output: Output {
                 offset: is_available.then_some(offset.map(nanometres)),
-                quality: Quality::from_wire(u8::try_from(read_u16(block, QUALITY)).ok()?)?,
-                flags: Flags(u8::try_from(read_u16(block, FLAGS)).ok()?),
+                quality: OffsetQuality::from_wire(u8::try_from(read_u16(block, QUALITY)).ok()?)?,
+                flags: OffsetFlags(u8::try_from(read_u16(block, FLAGS)).ok()?),
                 age_ms: u8::try_from(age_ms).unwrap_or(u8::MAX),
             },
             age_ms,
@@ -128,8 +128,8 @@ mod tests {
             counter: 0xFFFE,
             output: Output {
                 offset: Some([1_000, -2_000, 62_810].map(Nanometres)),
-                quality: Quality::Live,
-                flags: Flags::SLEWING,
+                quality: OffsetQuality::Live,
+                flags: OffsetFlags::SLEWING,
                 age_ms: 3,
             },
             age_ms: 3,

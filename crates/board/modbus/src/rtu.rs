@@ -19,7 +19,7 @@ const FIXED_TIMING_THRESHOLD_BAUD: u32 = 19_200;
 /// Bits in a character: start, eight, parity or a second stop, stop.
 const BITS_PER_CHARACTER: u32 = 11;
 /// Half of one, in µs at 1 Bd.
-const HALF_CHARACTER_US: u32 = BITS_PER_CHARACTER * 1_000_000 / 2;
+const HALF_CHARACTER_US_AT_1_BAUD: u32 = BITS_PER_CHARACTER * 1_000_000 / 2;
 
 /// Silences in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl FrameTiming {
 
 /// This many halves of a character, in µs.
 const fn half_characters_us(count: u32, baud: u32) -> u32 {
-    match HALF_CHARACTER_US.saturating_mul(count).checked_div(baud) {
+    match HALF_CHARACTER_US_AT_1_BAUD.saturating_mul(count).checked_div(baud) {
         Some(us) => us,
         None => u32::MAX,
     }

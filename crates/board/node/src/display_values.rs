@@ -5,7 +5,7 @@
 //! by 2·10⁻⁶.
 
 use micromath::F32;
-use trueup_core::{sensor_health::Noise, units::Nanometres};
+use trueup_core::{sensor_health::NoiseStatistics, units::Nanometres};
 
 /// The values of the last second.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +27,7 @@ impl DisplayValues {
     pub fn new(
         offset: Option<[Nanometres; 3]>,
         elongation: Option<Nanometres>,
-        noise: Noise,
+        noise: NoiseStatistics,
     ) -> Self {
         let offset_um = offset.map(|all| all.map(to_micrometres));
         let [x, y, z] = offset_um.unwrap_or_default();
@@ -87,7 +87,7 @@ mod tests {
     fn half_a_millimetre_is_as_long_on_a_tilted_tool() {
         // The paper's 30°: 0.250 and 0.433 mm.
         let offset = Some([Nanometres(0), Nanometres(-250_000), Nanometres(433_013)]);
-        let noise = Noise { squares: 4 * 6 * 1_000, count: 1_000 };
+        let noise = NoiseStatistics { squares: 4 * 6 * 1_000, count: 1_000 };
         let shown = DisplayValues::new(offset, Some(Nanometres(-62_804)), noise);
         assert_eq!(shown.offset_um, Some([0.0, -250.0, 433.01]));
         assert_eq!((shown.length_um, shown.elongation_um), (500.0, Some(-62.8)));
@@ -96,10 +96,10 @@ mod tests {
 
     #[test]
     fn extremes_are_finite_and_what_is_missing_is_none() {
-        let most = Noise { squares: u32::MAX, count: 0 };
+        let most = NoiseStatistics { squares: u32::MAX, count: 0 };
         let shown = DisplayValues::new(Some([Nanometres(i32::MIN); 3]), None, most);
         assert!(shown.length_um.is_finite() && shown.noise_codes.is_finite());
-        let none = DisplayValues::new(None, None, Noise::default());
+        let none = DisplayValues::new(None, None, NoiseStatistics::default());
         assert_eq!((none.offset_um, none.elongation_um), (None, None));
         assert_eq!((none.length_um, none.noise_codes), (0.0, 0.0));
     }

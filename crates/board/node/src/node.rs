@@ -13,9 +13,9 @@ use trueup_canopen::{
     sdo,
 };
 use trueup_core::{
-    bridge::{self, Bridge, Input},
-    cnc::{CncMessage, Control, Flags, Output, Quality},
-    sensor_health::Noise,
+    bridge::{self, Bridge, TickInput},
+    cnc::{CncMessage, Control, OffsetFlags, OffsetQuality, Output},
+    sensor_health::NoiseStatistics,
     supply::SupplyMonitor,
     units::TimestampMs,
 };
@@ -27,7 +27,7 @@ use trueup_link::{
         CONTROL_ID, HEARTBEAT_PERIOD_MS, MIN_SERVICE_FRAME_INTERVAL_MS, NMT_ID, SDO_REQUEST_ID,
         STATUS_PERIOD_MS,
     },
-    receiver::{ReceiveError, Receiver},
+    receiver::{CncReceiver, ReceiveError},
     status::{self, FrameRejectReason, Status},
 };
 use trueup_store::{
@@ -71,7 +71,7 @@ pub struct Node<'a> {
     /// `None` without a valid calibration: nothing can be computed then.
     bridge: Option<Bridge<'a>>,
     state: bridge::State,
-    receiver: Receiver,
+    receiver: CncReceiver,
     now: TimestampMs,
     /// The same by a clock that does not count samples.
     clock: TimestampMs,
@@ -83,7 +83,7 @@ pub struct Node<'a> {
     /// When [`Node::service`] last ran.
     serviced: TimestampMs,
     /// The flags of all ticks since then.
-    flags_since: Flags,
+    flags_since: OffsetFlags,
     server: sdo::Server,
     answer: Option<Frame>,
     emergencies: EmergencyProducer,
@@ -106,7 +106,7 @@ pub struct Node<'a> {
     firmware: FirmwareUpdate,
     /// Who has written.
     log: WriteJournal,
-    noise: Noise,
+    noise: NoiseStatistics,
     status: StatusSchedule,
     last_refused: FrameRejectReason,
     board: BoardInfo,
@@ -180,7 +180,7 @@ impl<'a> Node<'a> {
         Self {
             bridge,
             state,
-            receiver: Receiver::default(),
+            receiver: CncReceiver::default(),
             now: TimestampMs::default(),
             clock: TimestampMs::default(),
             until_forgiven_ms: 0,
@@ -188,12 +188,12 @@ impl<'a> Node<'a> {
             counter: 0,
             heartbeat: HeartbeatSchedule {
                 since_ms: 0,
-                period_ms: default_heartbeat_ms(),
+                period_ms: default_heartbeat_period_ms(),
                 has_booted: false,
             },
             consumer: HeartbeatConsumer::default(),
             serviced: TimestampMs::default(),
-            flags_since: Flags::NONE,
+            flags_since: OffsetFlags::NONE,
             server: sdo::Server::default(),
             answer: None,
             emergencies: EmergencyProducer::default(),
@@ -208,7 +208,7 @@ impl<'a> Node<'a> {
             drops_new: false,
             firmware: FirmwareUpdate::default(),
             log: WriteJournal::from_stored(writes),
-            noise: Noise::default(),
+            noise: NoiseStatistics::default(),
             status: StatusSchedule::default(),
             last_refused: FrameRejectReason::None,
             board: BoardInfo { start, serial_number, commit, free_stack: u16::MAX },
@@ -232,12 +232,12 @@ impl<'a> Node<'a> {
 
     /// Notes what is wrong with the board.
     pub fn set_fault(&mut self, fault: Fault) {
-        self.board_faults = self.board_faults.with_if(true, fault);
+        self.board_faults = self.board_faults.with_fault_if(true, fault);
     }
 
     /// Notes whether this is wrong with the board now: for what may go again.
     pub fn set_or_clear_fault(&mut self, is_there: bool, fault: Fault) {
-        self.board_faults = self.board_faults.without(fault).with_if(is_there, fault);
+        self.board_faults = self.board_faults.without(fault).with_fault_if(is_there, fault);
     }
 
     /// Notes how many bytes of the stack were never used.
@@ -253,9 +253,9 @@ impl<'a> Node<'a> {
     /// Gives it back, and lets the master know what came of it.
     pub fn finish_load(&mut self, load: LoadBuffer<'a>, outcome: LoadOutcome) {
         let outcome = self.slot.finish_load(load, outcome).map_err(objects::load_abort_code);
-        if let (Ok(()), Some(stored)) = (outcome, self.slot.stored()) {
+        if let (Ok(()), Some(stored)) = (outcome, self.slot.stored_blob()) {
             self.new_crc = calibration_crc(stored);
-            self.log_load(self.new_crc);
+            self.log_calibration_load(self.new_crc);
         }
         self.answer = self.server.finish_download(outcome).or(self.answer);
     }
@@ -286,7 +286,7 @@ impl<'a> Node<'a> {
             return Ok(None);
         }
         self.consumer.receive(frame);
-        if Receiver::is_from_cnc(frame.id()) && !self.master.accepts_interface(line) {
+        if CncReceiver::is_cnc_frame_id(frame.id()) && !self.master.accepts_interface(line) {
             if e2e::has_valid_crc(frame) {
                 self.master.record_other_interface();
             }
@@ -294,7 +294,7 @@ impl<'a> Node<'a> {
         }
         let received = self.receiver.accept(frame);
         if let Err(refused) = &received {
-            self.last_refused = refused.reason();
+            self.last_refused = refused.reject_reason();
             if frame.id() == CONTROL_ID {
                 self.master.reject_control(refused.is_sequence_error());
             }
@@ -320,9 +320,9 @@ impl<'a> Node<'a> {
         bridge.receive_control(&mut self.state, received.control);
         let now = self.state.reference();
         let zeroed = self.state.take_zero_event();
-        if now != before || zeroed && self.offer.has_offer() {
+        if now != before || zeroed && self.offer.has_offered_reference() {
             self.zero = Some(ZeroOutcome::Taken(now));
-            self.end_offer(now, WriteKind::Zeroed, Some(line));
+            self.end_reference_offer(now, WriteKind::Zeroed, Some(line));
         } else if received.zero && self.zero.is_none() {
             self.zero = Some(ZeroOutcome::Unchanged);
             self.zero_refused = true;
@@ -332,16 +332,16 @@ impl<'a> Node<'a> {
     /// Runs one tick, which ends `elapsed_ms` after the last one. Returns the frames to send.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> OffsetFrames {
+    pub fn tick(&mut self, elapsed_ms: u32, input: TickInput<'_>) -> OffsetFrames {
         self.now = self.now.wrapping_add_ms(elapsed_ms);
         if input.codes.is_some() {
             self.blocks = self.blocks.wrapping_add(1);
         }
         let mut output = match &self.bridge {
             Some(bridge) => bridge.tick(&mut self.state, self.now, input),
-            None => Output { quality: Quality::Fault, age_ms: u8::MAX, ..Output::default() },
+            None => Output { quality: OffsetQuality::Fault, age_ms: u8::MAX, ..Output::default() },
         };
-        output.flags = output.flags.with_if(self.degraded, Flags::BOARD_DEGRADED);
+        output.flags = output.flags.with_if(self.degraded, OffsetFlags::BOARD_DEGRADED);
         self.last = output;
 
         self.flags_since = self.flags_since.with(output.flags);
@@ -352,8 +352,8 @@ impl<'a> Node<'a> {
 
     /// Returns whether it is time for [`Node::service`].
     #[must_use]
-    pub fn is_service_due(&self) -> bool {
-        self.now.duration_since(self.serviced) >= MIN_SERVICE_FRAME_INTERVAL_MS
+    pub fn is_service_frame_due(&self) -> bool {
+        self.now.duration_ms_since(self.serviced) >= MIN_SERVICE_FRAME_INTERVAL_MS
     }
 
     /// Returns what there is to say besides the offsets: the heartbeat, an emergency, the status, or the
@@ -362,15 +362,15 @@ impl<'a> Node<'a> {
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn service(&mut self) -> Option<Frame> {
-        if !self.is_service_due() {
+        if !self.is_service_frame_due() {
             return None;
         }
-        let elapsed_ms = self.now.duration_since(self.serviced);
+        let elapsed_ms = self.now.duration_ms_since(self.serviced);
         self.serviced = self.now;
         let output = self.last;
         // A fault of a single tick is not overlooked.
         let flags = core::mem::take(&mut self.flags_since);
-        self.consumer.tick(elapsed_ms);
+        self.consumer.advance_time(elapsed_ms);
         let link_timeout_ms = self
             .bridge
             .as_ref()
@@ -379,7 +379,7 @@ impl<'a> Node<'a> {
         self.questions = self
             .questions
             .without(Fault::HeatUnknown)
-            .with_if(self.state.is_heat_unknown(), Fault::HeatUnknown);
+            .with_fault_if(self.state.is_heat_unknown(), Fault::HeatUnknown);
         let seen = self.faults(&Output { flags, ..output });
         self.zero_refused = false;
         let now = self.faults(&output);
@@ -407,7 +407,7 @@ impl<'a> Node<'a> {
         self.heartbeat.since_ms = if has_booted { late_ms.unwrap_or(0) } else { 0 };
         Some(frames::encode_heartbeat(match output.quality {
             _ if !has_booted => NmtState::BootUp,
-            Quality::Fault => NmtState::Stopped,
+            OffsetQuality::Fault => NmtState::Stopped,
             _ => NmtState::Operational,
         }))
     }
@@ -444,18 +444,18 @@ impl<'a> Node<'a> {
 
     /// Returns what was received and refused so far.
     #[must_use]
-    pub fn receiver(&self) -> &Receiver {
+    pub fn receiver(&self) -> &CncReceiver {
         &self.receiver
     }
 
     /// Returns the live values for the log, and begins to measure the noise of the raw codes anew.
     pub fn take_display_values(&mut self) -> DisplayValues {
-        self.noise = self.state.take_noise();
+        self.noise = self.state.take_noise_statistics();
         DisplayValues::new(self.last.offset, self.state.elongation(), self.noise)
     }
 }
 
-fn default_heartbeat_ms() -> u16 {
+fn default_heartbeat_period_ms() -> u16 {
     u16::try_from(HEARTBEAT_PERIOD_MS).unwrap_or(u16::MAX)
 }
 

@@ -9,9 +9,12 @@
 
 use heapless::Vec;
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     calibration::Calibration,
-    cnc::{AxisPosition, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection},
+    cnc::{
+        AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, SpindleState,
+        TravelDirection,
+    },
     dimensions::CHANNEL_COUNT,
     dimensions::CODES_PER_TICK,
     temperature_channels::RawTemperatures,
@@ -38,7 +41,7 @@ const MAX_TEMPERATURE_RISE_MK: u32 = 40_000;
 /// CNC is lost (0.5 s) and the hold after that (2 s) together.
 const PHASE_MS_LOG2: u32 = 12;
 /// The faults of every other phase, in turn.
-const FAULT_SEQUENCE: [InjectedFault; 6] = [
+const INJECTED_FAULT_SEQUENCE: [InjectedFault; 6] = [
     InjectedFault::NoPositions,
     InjectedFault::NoAngles,
     InjectedFault::SilentCnc,
@@ -47,9 +50,9 @@ const FAULT_SEQUENCE: [InjectedFault; 6] = [
     InjectedFault::NoTemperatures,
 ];
 /// Vectors until every fault has been there, with the phase before each.
-pub const FAULT_CYCLE_VECTORS: u32 = (2 * FAULT_COUNT) << PHASE_MS_LOG2;
+pub const VECTORS_PER_FAULT_CYCLE: u32 = (2 * INJECTED_FAULT_COUNT) << PHASE_MS_LOG2;
 #[allow(clippy::cast_possible_truncation, reason = "6")]
-const FAULT_COUNT: u32 = FAULT_SEQUENCE.len() as u32;
+const INJECTED_FAULT_COUNT: u32 = INJECTED_FAULT_SEQUENCE.len() as u32;
 
 /// A fault that lasts for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,8 +73,8 @@ enum InjectedFault {
 impl InjectedFault {
     fn from_vector_index(vector: u32) -> Self {
         let phase = vector >> PHASE_MS_LOG2;
-        let number = (phase >> 1).checked_rem(FAULT_COUNT).unwrap_or(0) as usize;
-        match FAULT_SEQUENCE.get(number) {
+        let number = (phase >> 1).checked_rem(INJECTED_FAULT_COUNT).unwrap_or(0) as usize;
+        match INJECTED_FAULT_SEQUENCE.get(number) {
             Some(fault) if phase & 1 == 1 => *fault,
             _ => Self::None,
         }
@@ -90,7 +93,7 @@ impl XorShift32 {
     }
 
     /// Returns the next number.
-    pub const fn next(&mut self) -> u32 {
+    pub const fn next_u32(&mut self) -> u32 {
         self.0 ^= self.0.wrapping_shl(13);
         self.0 ^= self.0.wrapping_shr(17);
         self.0 ^= self.0.wrapping_shl(5);
@@ -100,7 +103,7 @@ impl XorShift32 {
     /// Returns the next number, from 0 to below `end`.
     #[allow(clippy::cast_possible_truncation, reason = "the high word of a product of two words")]
     pub fn next_below(&mut self, end: u32) -> u32 {
-        (u64::from(self.next()).wrapping_mul(u64::from(end)) >> 32) as u32
+        (u64::from(self.next_u32()).wrapping_mul(u64::from(end)) >> 32) as u32
     }
 
     /// Returns the next number, up to `most` either way.
@@ -141,7 +144,7 @@ impl<'a> TestVectorRunner<'a> {
         let mut terms = calibration.terms.iter().flatten();
         let has_conditions =
             terms.any(|term| matches!(term.effect, Effect::Tool(_) | Effect::Condition(_)));
-        for frame in frames::release_sequence() {
+        for frame in frames::disengaged_control_frames() {
             // In order: none is refused.
             node.receive(Interface::Can, &frame).ok();
         }
@@ -178,12 +181,14 @@ impl<'a> TestVectorRunner<'a> {
         if self.is_due(ROTARY_PERIOD_MS) && fault != InjectedFault::NoAngles {
             let angles = [180_000_000, 110_000_000].map(|most| self.random.next_symmetric(most));
             let angles = angles.map(MicroDegrees);
-            self.send_frame(3, |counter| frames::encode_rotary(Rotary { angles }, counter));
+            self.send_frame(3, |counter| {
+                frames::encode_rotary(RotaryAxisAngles { angles }, counter)
+            });
         }
         if self.is_due(CONTROL_PERIOD_MS) && fault != InjectedFault::SilentCnc {
             let speed = Rpm(18_000_u16.wrapping_add(self.level.to_le_bytes()[0].into()));
             self.send_frame(4, |counter| {
-                frames::encode_spindle(Spindle { speed, load_n: 0 }, counter)
+                frames::encode_spindle(SpindleState { speed, load_n: 0 }, counter)
             });
             let engage = fault != InjectedFault::LetsGo;
             // Now and then for some frames, so that it is believed.
@@ -195,10 +200,10 @@ impl<'a> TestVectorRunner<'a> {
             && self.is_due(CONDITIONS_PERIOD_MS)
             && fault != InjectedFault::NoAngles
         {
-            let bytes = self.random.next().to_le_bytes();
+            let bytes = self.random.next_u32().to_le_bytes();
             let (tool, bits) = (u16::from(bytes[0] & 63), u16::from_le_bytes([bytes[2], bytes[3]]));
             self.send_frame(6, |counter| {
-                frames::encode_conditions(Conditions { tool, bits }, counter)
+                frames::encode_conditions(MachineConditions { tool, bits }, counter)
             });
         }
         self.update_sensors(fault);
@@ -251,7 +256,7 @@ impl<'a> TestVectorRunner<'a> {
         let random = &mut self.random;
         self.level = self.level.wrapping_add_signed(random.next_symmetric(4)).clamp(100, 3_900);
         let level = if fault == InjectedFault::DeadSensor { 4_095 } else { self.level };
-        let noise = random.next();
+        let noise = random.next_u32();
         for (bit, code) in self.codes.iter_mut().enumerate() {
             let [low, high, ..] = level
                 .wrapping_add(noise.wrapping_shr(u32::try_from(bit).unwrap_or(0)) & 1)
@@ -281,8 +286,11 @@ impl<'a> TestVectorRunner<'a> {
     /// Runs the tick of the vector that was prepared.
     #[inline]
     pub fn tick(&mut self) -> OffsetFrames {
-        let input =
-            Input { codes: Some(&self.codes), speed: None, temperatures: Some(&self.temperatures) };
+        let input = TickInput {
+            codes: Some(&self.codes),
+            speed: None,
+            temperatures: Some(&self.temperatures),
+        };
         self.node.tick(1, input)
     }
 

@@ -11,8 +11,8 @@ use std::thread;
 
 use trueup_core::{
     cnc::{
-        AxisPosition, CncMessage, Control, LinearAxis, Output, Quality, Rotary, Spindle,
-        TravelDirection,
+        AxisPosition, CncMessage, Control, LinearAxis, OffsetQuality, Output, RotaryAxisAngles,
+        SpindleState, TravelDirection,
     },
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
@@ -20,9 +20,9 @@ use trueup_link::{
     frame::Frame,
     frames,
     layout::{OFFSET_XY_ID, OFFSET_Z_ID, STATUS_ID},
-    receiver::{OffsetReceiver, Receiver, StatusReceiver},
+    receiver::{CncReceiver, OffsetReceiver, StatusReceiver},
     slcan::{LineSplitter, decode_line, encode_line},
-    status::{self, FrameRejectReason, Item, Status},
+    status::{self, FrameRejectReason, Status, StatusItem},
 };
 use trueup_node::{
     configuration::Configuration,
@@ -44,7 +44,7 @@ fn commands(count: usize) -> Vec<Frame> {
             let kind = n % 6;
             let counter = counters[kind];
             counters[kind] = counter.wrapping_add(1);
-            let any = random.next() as i32;
+            let any = random.next_u32() as i32;
             match kind {
                 axis @ 0..=2 => {
                     let position = Position(any / 2);
@@ -52,12 +52,13 @@ fn commands(count: usize) -> Vec<Frame> {
                     frames::encode_position(AxisPosition { axis, position, direction }, counter)
                 }
                 3 => frames::encode_rotary(
-                    Rotary { angles: [any / 16, -any / 16].map(MicroDegrees) },
+                    RotaryAxisAngles { angles: [any / 16, -any / 16].map(MicroDegrees) },
                     counter,
                 ),
-                4 => {
-                    frames::encode_spindle(Spindle { speed: Rpm(any as u16), load_n: 120 }, counter)
-                }
+                4 => frames::encode_spindle(
+                    SpindleState { speed: Rpm(any as u16), load_n: 120 },
+                    counter,
+                ),
                 _ => frames::encode_control(Control::ENGAGED, counter),
             }
         })
@@ -70,13 +71,13 @@ fn lines_of_both() -> Vec<Frame> {
     for counter in 0..5 {
         let nm = 20_000 + 777 * i32::from(counter);
         let offset = Some([nm, -nm / 3, nm * 5].map(Nanometres));
-        let output = Output { offset, quality: Quality::Live, ..Output::default() };
+        let output = Output { offset, quality: OffsetQuality::Live, ..Output::default() };
         if counter < 4 {
             all.push(frames::encode_offset_xy(&output, counter));
             all.push(frames::encode_offset_z(&output, counter));
         } else {
             for (counter, nm) in [(0, nm), (1, -nm)] {
-                let item = Item::Elongation(Some(Nanometres(nm)));
+                let item = StatusItem::Elongation(Some(Nanometres(nm)));
                 let reported = Status { last_refused: FrameRejectReason::None, item };
                 all.push(status::encode(&reported, counter));
             }
@@ -104,7 +105,7 @@ fn frames_in(bytes: &[u8], mut each: impl FnMut(Frame)) {
 /// The ears on both ends of a line.
 #[derive(Clone)]
 struct Ears {
-    board: Receiver,
+    board: CncReceiver,
     offsets: OffsetReceiver,
     status: StatusReceiver,
 }
@@ -113,7 +114,7 @@ impl Ears {
     /// They have received these.
     fn after(sent: &[Frame]) -> Self {
         let mut ears = Self {
-            board: Receiver::new(),
+            board: CncReceiver::new(),
             offsets: OffsetReceiver::new(),
             status: StatusReceiver::new(),
         };
@@ -122,7 +123,7 @@ impl Ears {
     }
 
     fn know(id: u16) -> bool {
-        Receiver::is_from_cnc(id) || [OFFSET_XY_ID, OFFSET_Z_ID, STATUS_ID].contains(&id)
+        CncReceiver::is_cnc_frame_id(id) || [OFFSET_XY_ID, OFFSET_Z_ID, STATUS_ID].contains(&id)
     }
 
     /// Returns whether this is believed.
@@ -241,7 +242,7 @@ fn no_one_to_three_flipped_bits_of_forty_lines_make_another_command() {
 }
 
 /// The line is followed by others: which of the frames are received.
-fn receive_all(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, CncMessage)> {
+fn receive_all(receiver: &mut CncReceiver, bytes: &[u8]) -> Vec<(Frame, CncMessage)> {
     let mut received = Vec::new();
     frames_in(bytes, |frame| {
         if let Ok(Some(command)) = receiver.accept(&frame) {
@@ -310,7 +311,7 @@ fn frames_lost_doubled_inserted_or_swapped_are_received_once_in_their_order() {
             }
         }
         let bytes: Vec<u8> = stream.iter().flat_map(line).collect();
-        let got = receive_all(&mut Receiver::new(), &bytes);
+        let got = receive_all(&mut CncReceiver::new(), &bytes);
         let own: Vec<&Frame> = got
             .iter()
             .map(|received| &received.0)

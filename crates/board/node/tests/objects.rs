@@ -8,10 +8,10 @@ use trueup_canopen::{
     sdo::{AbortCode, ObjectAccess, ObjectValue},
 };
 use trueup_core::{
-    bridge::{Input, Reference},
+    bridge::{ReferenceErrors, TickInput},
     cnc::Control,
     dimensions::CODES_PER_TICK,
-    supply::SupplyLevel,
+    supply::InternalReferenceLevel,
     thermometer::RawReading,
     units::{AdcCode, Nanometres},
 };
@@ -19,7 +19,7 @@ use trueup_link::{
     frame::Frame,
     frames,
     layout::CONTROL_ID,
-    status::{self, Item},
+    status::{self, StatusItem},
 };
 use trueup_node::{
     configuration::Configuration,
@@ -43,7 +43,7 @@ fn run_at(node: &mut Node<'_>, ms: u32, thermometer: RawReading) {
     temperatures[2] = thermometer;
     for _ in 0..ms {
         let temperatures = Some(&temperatures);
-        node.tick(1, Input { codes: Some(&codes), speed: None, temperatures });
+        node.tick(1, TickInput { codes: Some(&codes), speed: None, temperatures });
     }
 }
 
@@ -101,19 +101,19 @@ fn blocks_are_counted_and_a_tick_without_one_is_not() {
     let mut node = node();
     assert_eq!(node.block_count(), 0);
     run(&mut node, 5);
-    node.tick(1, Input::default());
+    node.tick(1, TickInput::default());
     assert_eq!(node.block_count(), 5);
 }
 
 #[test]
 fn the_level_that_readings_count_from_is_the_stored_one_or_that_of_the_first_seconds() {
     let mut node = node();
-    assert_eq!(node.supply_basis(), SupplyLevel(0), "not known yet");
-    (0..200).for_each(|_| node.receive_supply(AdcCode(1_500)));
-    assert_eq!(node.supply_basis(), SupplyLevel(1_500 * 16));
-    node.set_supply_basis(SupplyLevel(24_321));
-    (0..200).for_each(|_| node.receive_supply(AdcCode(1_500)));
-    assert_eq!(node.supply_basis(), SupplyLevel(24_321));
+    assert_eq!(node.supply_basis(), InternalReferenceLevel(0), "not known yet");
+    (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
+    assert_eq!(node.supply_basis(), InternalReferenceLevel(1_500 * 16));
+    node.set_supply_basis(InternalReferenceLevel(24_321));
+    (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
+    assert_eq!(node.supply_basis(), InternalReferenceLevel(24_321));
 }
 
 #[test]
@@ -156,7 +156,10 @@ fn a_board_reports_its_number_the_commit_of_its_image_and_whether_a_reference_is
     assert_eq!(number(&node, EntryContent::Commit), 0x1234_ABCD);
     assert_eq!(number(&node, EntryContent::HasReference), 0);
     node.restore_reference_status(
-        ReferenceStatus::in_force(Reference { elongation: Nanometres(-5), ..Reference::default() }),
+        ReferenceStatus::in_force(ReferenceErrors {
+            elongation: Nanometres(-5),
+            ..ReferenceErrors::default()
+        }),
         None,
     );
     assert_eq!(number(&node, EntryContent::HasReference), 1);
@@ -198,7 +201,7 @@ fn the_status_has_temperatures_to_the_nearest_hundredth_of_a_degree() {
     for _ in 0..2_000 {
         run_at(&mut node, 1, THERE);
         let status = node.service().and_then(|frame| status::decode(&frame).ok());
-        if let Some(Item::Temperatures { pair, centi_c }) = status.map(|status| status.item) {
+        if let Some(StatusItem::Temperatures { pair, centi_c }) = status.map(|status| status.item) {
             let first = 2 * usize::from(pair);
             reported[first..first + 2].copy_from_slice(&centi_c);
         }

@@ -4,7 +4,7 @@ use trueup_canopen::sdo::{
     AbortCode,
     client::{ClientError, Download, ObjectAddress, Progress, Upload},
 };
-use trueup_core::{bridge::Input, cnc::Control};
+use trueup_core::{bridge::TickInput, cnc::Control};
 use trueup_link::{frame::Frame, frames};
 use trueup_node::{
     configuration::Configuration,
@@ -28,7 +28,7 @@ fn responses_to(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
     }
     (0..20)
         .flat_map(|_| {
-            let offsets = node.tick(1, Input::default());
+            let offsets = node.tick(1, TickInput::default());
             offsets.into_iter().chain(node.service()).collect::<Vec<_>>()
         })
         .collect()

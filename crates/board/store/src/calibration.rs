@@ -85,7 +85,7 @@ pub(crate) mod tests;
 mod volume;
 mod wire;
 
-pub use error::{BlobError, TooLarge};
+pub use error::{BlobError, CalibrationTooLarge};
 pub(crate) use format::FIXED_PART_SIZE;
 use format::{CRC_SIZE, HEADER_SIZE, SCHEMA_VERSION};
 pub use format::{
@@ -99,7 +99,10 @@ use wire::{Field as _, Reader, Writer};
 ///
 /// # Errors
 /// [`TooLarge`]: it does not fit `out` (or [`MAX_BLOB_SIZE`]).
-pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'o [u8], TooLarge> {
+pub fn encode<'o>(
+    calibration: &Calibration<'_>,
+    out: &'o mut [u8],
+) -> Result<&'o [u8], CalibrationTooLarge> {
     let room = out.len().min(MAX_BLOB_SIZE);
     let mut to = Writer::new(out);
     // The length is known at the end.
@@ -108,14 +111,14 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
 
     let bytes = to.tables_end().saturating_add(CRC_SIZE);
     let (true, Ok(length)) = (bytes <= room, u16::try_from(bytes)) else {
-        return Err(TooLarge { bytes });
+        return Err(CalibrationTooLarge { bytes });
     };
     to.write_at(0, |to| {
         to.write_bytes(&MAGIC);
         to.write_bytes(&SCHEMA_VERSION.to_le_bytes());
         to.write_bytes(&length.to_le_bytes());
     });
-    let blob = to.finish().get_mut(..bytes).ok_or(TooLarge { bytes })?;
+    let blob = to.finish().get_mut(..bytes).ok_or(CalibrationTooLarge { bytes })?;
     crc::write_crc(blob);
     Ok(blob)
 }

@@ -20,7 +20,7 @@ impl LoadBuffer<'_> {
     ///
     /// # Errors
     /// As [`calibration::decode`].
-    pub fn validate(&mut self) -> Result<&[u8], BlobError> {
+    pub fn validate_blob(&mut self) -> Result<&[u8], BlobError> {
         calibration::decode(self.bytes())?;
         // What follows the blob is dropped.
         self.length = calibration::validate_blob(self.bytes())?.len();
@@ -184,7 +184,7 @@ impl<'a> LoadSlot<'a> {
 
     /// Returns what is stored for the next start.
     #[must_use]
-    pub fn stored(&self) -> Option<&[u8]> {
+    pub fn stored_blob(&self) -> Option<&[u8]> {
         match self {
             Self::Stored(load) => Some(load.bytes()),
             _ => None,
@@ -207,11 +207,11 @@ mod tests {
         assert_eq!(slot.close(), Ok(()));
         let load = slot.take().expect("all has come");
         assert_eq!(load.bytes(), b"abcde");
-        assert_eq!((slot.take().is_none(), slot.stored()), (true, None));
+        assert_eq!((slot.take().is_none(), slot.stored_blob()), (true, None));
         assert_eq!(slot.finish_load(load, LoadOutcome::Stored), Ok(()));
-        assert_eq!(slot.stored(), Some(&b"abcde"[..]));
+        assert_eq!(slot.stored_blob(), Some(&b"abcde"[..]));
         // The next begins anew.
-        assert_eq!((slot.open(None), slot.stored()), (Ok(()), None));
+        assert_eq!((slot.open(None), slot.stored_blob()), (Ok(()), None));
         assert_eq!((slot.append(b"fg"), slot.close()), (Ok(()), Ok(())));
         assert_eq!(slot.take().expect("all has come").bytes(), b"fg");
     }
@@ -246,7 +246,7 @@ mod tests {
         let mut none = LoadSlot::default();
         assert_eq!(none.open(None), Err(LoadError::NotStored));
         assert_eq!([none.append(b"x"), none.close()], [Err(LoadError::Busy); 2]);
-        assert!(none.take().is_none() && none.stored().is_none());
+        assert!(none.take().is_none() && none.stored_blob().is_none());
     }
 
     #[test]
@@ -260,7 +260,7 @@ mod tests {
             slot.close().unwrap();
             let load = slot.take().expect("all has come");
             assert_eq!(slot.finish_load(load, outcome), Err(error));
-            assert_eq!(slot.stored(), None);
+            assert_eq!(slot.stored_blob(), None);
             assert_eq!(slot.open(Some(10)), Ok(()));
         }
     }

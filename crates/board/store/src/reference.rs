@@ -22,8 +22,8 @@
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{
-    bridge::Reference,
-    supply::SupplyLevel,
+    bridge::ReferenceErrors,
+    supply::InternalReferenceLevel,
     units::{FineNanometres, Nanometres},
 };
 
@@ -43,7 +43,7 @@ const LAYOUT_VERSION: u8 = 1;
 const OFFERED_FLAG: u8 = 1 << 0;
 const CHANGED_FLAG: u8 = 1 << 1;
 /// How many slots are tried for one record.
-const MAX_ATTEMPTS: u32 = 3;
+const MAX_WRITE_ATTEMPTS: u32 = 3;
 
 type RecordBytes = [u8; RECORD_SIZE];
 
@@ -51,7 +51,7 @@ type RecordBytes = [u8; RECORD_SIZE];
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReferenceStatus {
     /// The reference.
-    pub reference: Reference,
+    pub reference: ReferenceErrors,
     /// It is not in force: it waits for the operator's answer.
     pub is_offered: bool,
     /// The calibration was changed while no CNC was received, and the operator has not confirmed it.
@@ -61,7 +61,7 @@ pub struct ReferenceStatus {
 impl ReferenceStatus {
     /// Returns a reference that is in force, with nothing open.
     #[must_use]
-    pub const fn in_force(reference: Reference) -> Self {
+    pub const fn in_force(reference: ReferenceErrors) -> Self {
         Self { reference, is_offered: false, is_changed: false }
     }
 }
@@ -72,13 +72,13 @@ struct ReferenceRecord {
     sequence: u32,
     calibration: u32,
     standing: ReferenceStatus,
-    supply: SupplyLevel,
+    supply: InternalReferenceLevel,
 }
 
 impl ReferenceRecord {
     fn encode(&self) -> RecordBytes {
         let ReferenceStatus { reference, is_offered, is_changed } = self.standing;
-        let Reference { elongation, axes: [x, y, z] } = reference;
+        let ReferenceErrors { elongation, axes: [x, y, z] } = reference;
         let [elongation, x, y, z] = [elongation.0, x.0, y.0, z.0].map(i32::cast_unsigned);
         let mut marks = if is_offered { OFFERED_FLAG } else { 0 };
         if is_changed {
@@ -103,7 +103,7 @@ impl ReferenceRecord {
             return None;
         };
         let [LAYOUT_VERSION, marks, supply_low, supply_high] = layout else { return None };
-        let reference = Reference {
+        let reference = ReferenceErrors {
             elongation: Nanometres(i32::from_le_bytes(elongation)),
             axes: [x, y, z].map(|axis| FineNanometres(i32::from_le_bytes(axis))),
         };
@@ -112,7 +112,7 @@ impl ReferenceRecord {
             sequence: u32::from_le_bytes(sequence),
             calibration: u32::from_le_bytes(calibration),
             standing: ReferenceStatus { reference, is_offered, is_changed },
-            supply: SupplyLevel(u16::from_le_bytes([supply_low, supply_high])),
+            supply: InternalReferenceLevel(u16::from_le_bytes([supply_low, supply_high])),
         })
     }
 }
@@ -147,7 +147,7 @@ pub struct ScanResult {
     /// The machine and the board that the board belongs to: [`machine_identity_crc`](crate::write_log::machine_identity_crc) of their names.
     pub named: Option<u32>,
     /// The level of the supply that it counts from.
-    pub supply: SupplyLevel,
+    pub supply: InternalReferenceLevel,
     /// Records of other calibrations.
     pub foreign: u32,
     /// Slots that hold something, but no record.
@@ -167,7 +167,7 @@ pub struct ReferenceStore<F> {
     taken: Option<(WriteRecord, Half)>,
     writes: WriteLog,
     /// Goes into every record.
-    supply: SupplyLevel,
+    supply: InternalReferenceLevel,
     /// Of the records that were found at the start, and of both writes.
     only: RecordCounts,
     only_named: RecordCounts,
@@ -205,14 +205,14 @@ impl CalibrationEvents {
     }
 
     /// Returns what holds now, by the newest record of the calibration; `None`: nothing has changed since.
-    fn changed_status(&self, own: Option<(u32, ReferenceStatus)>) -> Option<ReferenceStatus> {
+    fn status_if_changed(&self, own: Option<(u32, ReferenceStatus)>) -> Option<ReferenceStatus> {
         let since = own.map_or(0, |(sequence, _)| sequence);
         let (loaded, is_unattended) = self.loaded;
         if self.other.max(loaded) <= since {
             return None;
         }
-        let reference = own.map_or(Reference::default(), |(_, standing)| standing.reference);
-        let is_offered = reference != Reference::default();
+        let reference = own.map_or(ReferenceErrors::default(), |(_, standing)| standing.reference);
+        let is_offered = reference != ReferenceErrors::default();
         // Without a record of its load it came with an image, or the power went at that moment.
         let is_changed = if loaded > since { is_unattended } else { true };
         Some(ReferenceStatus { reference, is_offered, is_changed })
@@ -273,7 +273,7 @@ impl<F: NorFlash> ReferenceStore<F> {
         let mut current = found.standing.map(|(_, standing)| (standing, half));
         // Without a calibration nothing holds.
         if calibration != 0
-            && let Some(standing) = events.changed_status(found.standing)
+            && let Some(standing) = events.status_if_changed(found.standing)
         {
             let sequence = found.standing.map_or(0, |(sequence, _)| sequence);
             found.standing = Some((sequence, standing));
@@ -310,7 +310,7 @@ impl<F: NorFlash> ReferenceStore<F> {
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
     pub fn append_write(&mut self, write: &WriteRecord) -> Result<WriteRecord, StoreError> {
-        let (sequence, slot) = self.log.append(MAX_ATTEMPTS, |flash, slot, sequence| {
+        let (sequence, slot) = self.log.append(MAX_WRITE_ATTEMPTS, |flash, slot, sequence| {
             write_and_verify(
                 flash,
                 slot.address,
@@ -329,7 +329,7 @@ impl<F: NorFlash> ReferenceStore<F> {
     }
 
     /// Records from now on say that their references count from this level of the supply.
-    pub fn set_supply(&mut self, supply: SupplyLevel) {
+    pub fn set_supply_basis(&mut self, supply: InternalReferenceLevel) {
         self.supply = supply;
     }
 
@@ -339,7 +339,7 @@ impl<F: NorFlash> ReferenceStore<F> {
     /// [`StoreError`]; what was stored before still counts.
     pub fn append(&mut self, standing: ReferenceStatus) -> Result<u32, StoreError> {
         let (calibration, supply) = (self.calibration, self.supply);
-        let (sequence, slot) = self.log.append(MAX_ATTEMPTS, |flash, slot, sequence| {
+        let (sequence, slot) = self.log.append(MAX_WRITE_ATTEMPTS, |flash, slot, sequence| {
             write_and_verify(
                 flash,
                 slot.address,

@@ -26,13 +26,13 @@ const LAYOUT_VERSION: u32 = 2;
 const HEADER_SIZE: usize = 20;
 const LAG_SIZE: usize = 28;
 /// Bytes of a copy.
-pub const COPY_SIZE: usize = HEADER_SIZE + MAX_LAGS * LAG_SIZE + 4;
-const _: () = assert!(COPY_SIZE == 612);
+pub const RETAINED_COPY_SIZE: usize = HEADER_SIZE + MAX_LAGS * LAG_SIZE + 4;
+const _: () = assert!(RETAINED_COPY_SIZE == 612);
 /// A machine that was off for longer has not stood there: its clock is wrong.
 pub(crate) const MAX_OFF_TIME_S: u32 = 366 * SECONDS_PER_DAY;
 
 /// The two copies.
-pub type RetainedCopies = [[u8; COPY_SIZE]; 2];
+pub type RetainedCopies = [[u8; RETAINED_COPY_SIZE]; 2];
 
 /// The values that outlast a reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -104,7 +104,12 @@ fn is_newer(number: u32, other: u32) -> bool {
     number.wrapping_sub(other).cast_signed() > 0
 }
 
-fn encode(retained: &RetainedState, number: u32, written_s: u32, copy: &mut [u8; COPY_SIZE]) {
+fn encode(
+    retained: &RetainedState,
+    number: u32,
+    written_s: u32,
+    copy: &mut [u8; RETAINED_COPY_SIZE],
+) {
     let (source, shift) = match retained.joint {
         None => (0, 0),
         Some(RetainedTransfer { source, shift }) => (source_number(source), shift.0),
@@ -125,7 +130,7 @@ fn encode(retained: &RetainedState, number: u32, written_s: u32, copy: &mut [u8;
 }
 
 /// Returns the number of the copy, when it was written, and what it says; `None`: it is not whole.
-fn decode(copy: &[u8; COPY_SIZE]) -> Option<(u32, u32, RetainedState)> {
+fn decode(copy: &[u8; RETAINED_COPY_SIZE]) -> Option<(u32, u32, RetainedState)> {
     let words = crc::verify_and_strip_crc(copy)?.as_chunks::<4>().0;
     let &[layout, number, written_s, source, shift, ref lags @ ..] = words else { return None };
     if u32::from_le_bytes(layout) != LAYOUT_VERSION {
@@ -195,7 +200,7 @@ mod tests {
 
     #[test]
     fn the_newest_counts_and_the_numbers_may_wrap() {
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         assert_eq!(load(&copies), None);
         encode(&retained_state(1), u32::MAX - 2, 0, &mut copies[0]);
         for number in 2..20 {
@@ -208,13 +213,13 @@ mod tests {
 
     #[test]
     fn a_reset_at_any_byte_leaves_the_one_before() {
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         save(&mut copies, &retained_state(1), Some(1));
         save(&mut copies, &retained_state(2), Some(2));
         let (before, mut after) = (copies, copies);
         save(&mut after, &retained_state(3), Some(3));
         let written = usize::from(after[0] == before[0]);
-        for at in 0..COPY_SIZE {
+        for at in 0..RETAINED_COPY_SIZE {
             let mut torn = after;
             // What was not written yet is 0, as `save` leaves it, or as it was.
             torn[written][at..].fill(0);
@@ -243,10 +248,10 @@ mod tests {
             });
             assert_eq!(load(&copies), None);
         }
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         save(&mut copies, &retained_state(1), Some(7));
         let one = usize::from(copies[0][0] == 0);
-        for bit in 0..COPY_SIZE * 8 {
+        for bit in 0..RETAINED_COPY_SIZE * 8 {
             let mut flipped = copies;
             flipped[one][bit / 8] ^= 1 << (bit % 8);
             assert_eq!(load(&flipped), None, "bit {bit}");
@@ -257,7 +262,7 @@ mod tests {
     #[test]
     fn for_how_long_the_power_was_gone_is_known_by_a_clock_that_has_gone_on_and_by_no_other() {
         const WRITTEN_S: u32 = 40_000_000;
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         assert_eq!(off_time_s(&copies, Some(WRITTEN_S)), None, "nothing is kept");
         save(&mut copies, &retained_state(1), Some(WRITTEN_S));
         // Up to a year.
@@ -282,7 +287,7 @@ mod tests {
 
     #[test]
     fn copies_that_are_counted_are_read_as_those_that_are_looked_at() {
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         let mut number = u32::MAX - 3;
         for n in 0..9 {
             let before = load(&copies);
@@ -297,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_save_leaves_the_newest_copy_as_it_is() {
-        let mut copies = [[0; COPY_SIZE]; 2];
+        let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
         for number in 0..20 {
             let before = copies;
             save(&mut copies, &retained_state(number), None);

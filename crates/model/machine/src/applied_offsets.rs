@@ -27,7 +27,7 @@ use crate::{
     compile::compile,
     effect::Quantity,
     file::Machine,
-    location::BadInput,
+    location::InputFileError,
     model::tool_direction,
     run_file::RunFile,
     sections::{LinearAxis, RotaryAxis},
@@ -87,7 +87,7 @@ impl<'r> UncompensatedRun<'r> {
         run: Cow<'r, RunFile>,
         machine: Option<&Machine>,
         quantity: Option<Quantity>,
-    ) -> Result<(Self, Vec<String>), BadInput> {
+    ) -> Result<(Self, Vec<String>), InputFileError> {
         let (without, notes) = subtract_applied_offsets(&run, machine, quantity)?;
         let unaided = match without {
             Some((without, offset_um)) => Self { run: Cow::Owned(without), offset_um },
@@ -129,7 +129,7 @@ type OffsetsAndNotes = ([Vec<f64>; 3], Vec<String>);
 pub fn applied_offsets_um(
     run: &RunFile,
     machine: Option<&Machine>,
-) -> Result<Option<OffsetsAndNotes>, BadInput> {
+) -> Result<Option<OffsetsAndNotes>, InputFileError> {
     let mut notes = Vec::new();
     let Some(record) = BridgeRecord::from_run(run, machine, &mut notes)? else { return Ok(None) };
     let nothing = vec![0.0; run.row_count()];
@@ -158,7 +158,7 @@ fn subtract_applied_offsets(
     run: &RunFile,
     machine: Option<&Machine>,
     requested: Option<Quantity>,
-) -> Result<(Option<RunAndOffsets>, Vec<String>), BadInput> {
+) -> Result<(Option<RunAndOffsets>, Vec<String>), InputFileError> {
     let mut notes = Vec::new();
     let Some(record) = BridgeRecord::from_run(run, machine, &mut notes)? else {
         return Ok((None, notes));
@@ -176,7 +176,7 @@ fn subtract_applied_offsets(
                     "column {missing} is missing: what the bridge applied cannot be taken out of {name}"
                 );
                 notes.push(format!("{file}: {rule}; {name} is ignored"));
-                let bad = BadInput::new(run.header_location(), rule);
+                let bad = InputFileError::new(run.header_location(), rule);
                 if requested == Some(quantity) {
                     return Err(bad);
                 }
@@ -209,7 +209,7 @@ fn offset_column_name(axis: LinearAxis) -> String {
     format!("offset_{}_um", axis.name())
 }
 
-fn check_quality(run: &RunFile, quality: &[f64]) -> Result<(), BadInput> {
+fn check_quality(run: &RunFile, quality: &[f64]) -> Result<(), InputFileError> {
     let is_one = |value: f64| value.fract() == 0.0 && (0.0..=MAX_QUALITY).contains(&value);
     match quality.iter().position(|&value| !value.is_nan() && !is_one(value)) {
         None => Ok(()),
@@ -221,7 +221,10 @@ fn check_quality(run: &RunFile, quality: &[f64]) -> Result<(), BadInput> {
 }
 
 /// Compares the calibration that ran with that of `machine`; says so where it cannot.
-fn check_calibration(run: &RunFile, machine: Option<&Machine>) -> Result<Option<String>, BadInput> {
+fn check_calibration(
+    run: &RunFile,
+    machine: Option<&Machine>,
+) -> Result<Option<String>, InputFileError> {
     let Some(machine) = machine else { return Ok(None) };
     // A bridge without a calibration applies nothing.
     let ran = |crc: f64| !crc.is_nan() && crc != 0.0;
@@ -310,7 +313,7 @@ impl<'r> BridgeRecord<'r> {
         run: &'r RunFile,
         machine: Option<&'r Machine>,
         notes: &mut Vec<String>,
-    ) -> Result<Option<Self>, BadInput> {
+    ) -> Result<Option<Self>, InputFileError> {
         let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_column_name(axis)));
         if run.column(QUALITY_COLUMN).is_none() && offsets.iter().all(Option::is_none) {
             return Ok(None);

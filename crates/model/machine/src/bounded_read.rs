@@ -5,7 +5,7 @@
 
 use std::{fs::File, io::Read as _, path::Path};
 
-use crate::location::{BadInput, Location};
+use crate::location::{InputFileError, Location};
 
 /// Opens the file at `path`, which may have `most_bytes`.
 ///
@@ -13,8 +13,8 @@ use crate::location::{BadInput, Location};
 ///
 /// # Errors
 /// The file cannot be opened, or is longer; at its start.
-pub fn open(path: &Path, most_bytes: u64) -> Result<File, BadInput> {
-    let bad = |rule| BadInput::new(Location::start_of_file(path), rule);
+pub fn open(path: &Path, most_bytes: u64) -> Result<File, InputFileError> {
+    let bad = |rule| InputFileError::new(Location::start_of_file(path), rule);
     let unreadable = |error| bad(format!("cannot be read: {error}"));
     let file = File::open(path).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
@@ -28,8 +28,8 @@ pub fn open(path: &Path, most_bytes: u64) -> Result<File, BadInput> {
 ///
 /// # Errors
 /// The file cannot be read, or is longer; at its start.
-pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>, BadInput> {
-    let bad = |rule| BadInput::new(Location::start_of_file(path), rule);
+pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>, InputFileError> {
+    let bad = |rule| InputFileError::new(Location::start_of_file(path), rule);
     let mut bytes = Vec::new();
     open(path, most_bytes)?
         .take(most_bytes.saturating_add(1))
@@ -45,11 +45,14 @@ pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>, BadInput> {
 ///
 /// # Errors
 /// The file cannot be read or is longer, at its start; or is not UTF-8, where it begins not to be.
-pub fn read_text(path: &Path, most_bytes: u64) -> Result<String, BadInput> {
+pub fn read_text(path: &Path, most_bytes: u64) -> Result<String, InputFileError> {
     String::from_utf8(read(path, most_bytes)?).map_err(|error| {
         let valid = error.utf8_error().valid_up_to();
         let text = String::from_utf8_lossy(&error.as_bytes()[..valid]);
-        BadInput::new(Location::from_byte_offset(path, &text, text.len()), "is not UTF-8 text")
+        InputFileError::new(
+            Location::from_byte_offset(path, &text, text.len()),
+            "is not UTF-8 text",
+        )
     })
 }
 

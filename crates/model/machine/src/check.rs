@@ -42,7 +42,7 @@ use crate::{file::Machine, run_file::RunFile};
 
 pub use conditions::suggest_conditions;
 pub use no_correction::no_correction_warning;
-pub use range::{ImplausibleValue, Plausibility, combine_refused};
+pub use range::{ImplausibleValue, Plausibility, combine_rejected_findings};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 

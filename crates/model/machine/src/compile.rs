@@ -27,12 +27,14 @@ mod volume;
 mod warmup;
 
 use trueup_core::{calibration::Calibration, gradient::Gradient};
-use trueup_store::calibration::{MAX_BLOB_SIZE, TooLarge, calibration_crc, decode, encode};
+use trueup_store::calibration::{
+    CalibrationTooLarge, MAX_BLOB_SIZE, calibration_crc, decode, encode,
+};
 
 use crate::{
     envelope,
     file::{self, Machine},
-    location::{BadInput, Locations},
+    location::{InputFileError, Locations},
     model,
     sections::{LinearAxis, Straightness},
 };
@@ -43,13 +45,13 @@ use spindle::SpindleTables;
 use squareness::{axis_pair_index, compile_squareness};
 use volume::OwnedVolume;
 
-pub(crate) use inputs::DECOMPILED_INPUT;
-pub use inputs::missing_inputs;
-pub(crate) use inputs::{board_conditions, first_free_bit};
+pub(crate) use inputs::DECOMPILED_SENSOR_INPUT;
+pub use inputs::missing_input_lines;
+pub(crate) use inputs::{board_condition_columns, first_free_condition_bit};
 pub(crate) use lag::time_constant_s;
-pub(crate) use sensor::ZERO_SLOPE_UM_PER_COUNT;
+pub(crate) use sensor::NEAR_ZERO_SLOPE_UM_PER_COUNT;
 pub(crate) use sensor::exact_elongation_nm;
-pub use slope::{Slope, check_slopes, max_slope_um_per_mm};
+pub use slope::{SlopeAtPosition, check_slopes, max_slope_um_per_mm};
 
 /// A machine in the integers of the board.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,7 +94,7 @@ impl CompiledCalibration {
 /// for it, a part would be further than `MAX_DIFFERENCE_NM` from the model, a slope is beyond
 /// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::check_envelope`]), or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
-pub fn compile(machine: &Machine) -> Result<CompiledCalibration, BadInput> {
+pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError> {
     let whole = machine;
     term::category::reject_unnumbered_tools(machine)?;
     let (machine, falling) = model::apply_constant_terms(machine.with_compensated_terms());
@@ -122,7 +124,7 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, BadInput> {
     }
     let volume = volume::compile(machine, &mut account)?;
     let terms = term::compile_terms(machine, &mut account)?;
-    let [x, y, z] = [0, 1, 2].map(|number| axis::view(machine, number, &axes[number]));
+    let [x, y, z] = [0, 1, 2].map(|number| axis::axis_model(machine, number, &axes[number]));
     let calibration = Calibration {
         thermometers: compile_thermometers(machine)?,
         spindle: spindle.view(machine)?,
@@ -139,7 +141,7 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, BadInput> {
     };
     let mut room = vec![0; 4 * MAX_BLOB_SIZE];
     let blob = encode(&calibration, &mut room)
-        .map_err(|TooLarge { bytes }| {
+        .map_err(|CalibrationTooLarge { bytes }| {
             let rule = format!(
                 "is too much for the board: {bytes} bytes, and it stores {MAX_BLOB_SIZE}; the tables \
                  and curves have to be shorter"
@@ -172,7 +174,7 @@ pub(crate) const DEFAULT_MACHINE_NAME: &str = "shown";
 
 /// Returns a machine that compiles to `calibration`, or as nearly as the machine file can say it.
 ///
-/// Counts are ADC codes (`DECOMPILED_INPUT`), the temperature of channel 3 is `temp_ch3_c`, a machine without
+/// Counts are ADC codes (`DECOMPILED_SENSOR_INPUT`), the temperature of channel 3 is `temp_ch3_c`, a machine without
 /// a name is called `shown`; its tool direction is written in few decimals and not of length 1.
 #[must_use]
 pub fn decompile(calibration: &Calibration<'_>) -> Machine {
@@ -185,7 +187,7 @@ pub fn decompile(calibration: &Calibration<'_>) -> Machine {
     let curves = squareness::axis_pairs().into_iter().zip(&calibration.straightness);
     let curves = curves.filter(|(_, curve)| !curve.is_empty());
     let mut terms = term::decompile(calibration);
-    let tools = terms.last().and_then(term::category::as_tool_list);
+    let tools = terms.last().and_then(term::category::tools_from_term);
     if tools.is_some() {
         terms.pop();
     }

@@ -14,12 +14,12 @@ use std::path::Path;
 use trueup_core::{calibration::Calibration, units::AdcCode};
 
 use crate::{
-    compile::{DEFAULT_MACHINE_NAME, ZERO_SLOPE_UM_PER_COUNT, compile, decompile},
-    file::{Machine, MachineFile, Term, writer::Edit},
+    compile::{DEFAULT_MACHINE_NAME, NEAR_ZERO_SLOPE_UM_PER_COUNT, compile, decompile},
+    file::{Machine, MachineFile, Term, writer::MachineFileEdit},
     inputs::ADC_REFERENCE_VOLTS,
     keys::section::NewSection,
 };
-use difference::difference_nm;
+use difference::calibration_difference_nm;
 
 /// A calibration as a machine file.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,14 +36,14 @@ pub struct DecompiledCalibration {
 #[must_use]
 pub fn decompile_to_toml(calibration: &Calibration<'_>) -> DecompiledCalibration {
     let machine = decompile(calibration);
-    let toml = Edit {
+    let toml = MachineFileEdit {
         sections: machine
             .sections()
             .into_iter()
             .map(|section| add_comments(section, &machine))
             .collect(),
         appended: machine.terms.iter().map(Term::to_section).collect(),
-        ..Edit::default()
+        ..MachineFileEdit::default()
     }
     .to_toml();
     let (verdict, largest_difference_nm) = match verify_round_trip(&toml, calibration) {
@@ -81,7 +81,9 @@ fn add_comments(section: NewSection, machine: &Machine) -> NewSection {
             .with_header_comment(
                 "calibration does not hold the counts of the machine file that it came from.",
             ),
-        "spindle.sensor" if section.number_of("um_per_count") == Some(ZERO_SLOPE_UM_PER_COUNT) => {
+        "spindle.sensor"
+            if section.number("um_per_count") == Some(NEAR_ZERO_SLOPE_UM_PER_COUNT) =>
+        {
             section.with_key_comment("um_per_count", "on the board: 0")
         }
         _ => section,
@@ -108,7 +110,7 @@ fn verify_round_trip(toml: &str, calibration: &Calibration<'_>) -> Result<RoundT
     if again == *calibration {
         return Ok(RoundTrip { is_same: true, from_calibration_nm: 0.0, from_model_nm });
     }
-    let from_calibration_nm = difference_nm(calibration, &again)
+    let from_calibration_nm = calibration_difference_nm(calibration, &again)
         .ok_or("it holds values that no machine file is compiled to")?;
     Ok(RoundTrip { is_same: false, from_calibration_nm, from_model_nm })
 }

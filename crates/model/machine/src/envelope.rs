@@ -17,7 +17,7 @@ use std::{borrow::Cow, collections::BTreeMap};
 use crate::{
     effect::{BoardTerm, Effect, Input, SlowMode},
     file::Machine,
-    location::BadInput,
+    location::InputFileError,
     model::{ReferenceModel, RowInputs, tool_growth_term},
     sections::LinearAxis,
 };
@@ -31,11 +31,11 @@ pub const TEMPERATURE_RAMP_S: f64 = 600.0;
 /// After this many of its longest time constants a state has settled to a ten-thousandth.
 const SETTLING_TIME_CONSTANTS: f64 = 10.0;
 /// Times after the ramp, at equal ratios.
-const EVALUATION_TIME_COUNT: i32 = 10;
+const EVALUATION_INTERVAL_COUNT: i32 = 10;
 /// A growth or shift that no machine has, in µm: twice the range of the displacement sensor of the paper, 500 µm.
 const MAX_PLAUSIBLE_OFFSET_UM: f64 = 1000.0;
 /// Two terms take each other back where less than this share of the smaller is left of both.
-const MAX_UNCANCELLED_SHARE: f64 = 0.2;
+const MAX_UNCANCELLED_FRACTION: f64 = 0.2;
 /// Terms that do less are not looked at for that, in µm: the error that the paper on displacement sensors calls
 /// the limit of what is sufficient.
 const MIN_CANCELLING_UM: f64 = 50.0;
@@ -233,9 +233,9 @@ fn evaluation_times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
     let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| share * change_s);
     let last_s = SETTLING_TIME_CONSTANTS * longest_s;
     let first_s: f64 = last_s.min(10.0);
-    let after = (0..=EVALUATION_TIME_COUNT).map(|n| {
+    let after = (0..=EVALUATION_INTERVAL_COUNT).map(|n| {
         change_s
-            + first_s * (last_s / first_s).powf(f64::from(n) / f64::from(EVALUATION_TIME_COUNT))
+            + first_s * (last_s / first_s).powf(f64::from(n) / f64::from(EVALUATION_INTERVAL_COUNT))
     });
     quarters.into_iter().chain(after).collect()
 }
@@ -353,7 +353,7 @@ pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
         let is_taken_back = settled.iter().all(|&state| {
             let [a, b] = at(state);
             let smaller = a.abs().min(b.abs());
-            smaller > MIN_CANCELLING_UM && (a + b).abs() < MAX_UNCANCELLED_SHARE * smaller
+            smaller > MIN_CANCELLING_UM && (a + b).abs() < MAX_UNCANCELLED_FRACTION * smaller
         });
         is_taken_back.then(|| CancellingTermPair {
             terms: pair.map(|term| numbers[term]),
@@ -367,12 +367,12 @@ pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
 ///
 /// # Errors
 /// They do: with the term that does most, and what it does.
-pub fn check_envelope(machine: &Machine) -> Result<(), BadInput> {
+pub fn check_envelope(machine: &Machine) -> Result<(), InputFileError> {
     match find_limit_violation(machine) {
         None => Ok(()),
         Some(LimitViolation { term, rule, .. }) => {
             let bad = machine.places.key_error(&format!("term[{term}]"), rule);
-            Err(BadInput { help: Some(CANCELLING_TERMS_HELP.into()), ..bad })
+            Err(InputFileError { help: Some(CANCELLING_TERMS_HELP.into()), ..bad })
         }
     }
 }

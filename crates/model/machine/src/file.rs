@@ -16,10 +16,11 @@ pub use crate::{
     effect::Quantity,
     keys::reader::is_temperature_column,
     sections::{
-        Angle, AngularErrorMotion, AxisModel, Backlash, Chain, ElongationSource, Feedback,
-        LearnedCaps, Limits, LinearAxis, PitchErrorTable, RotaryAxis, RotaryLocationErrors,
-        SecondDrive, SensorModel, Spindle, Squareness, Straightness, TemperatureModel, ThermalLaw,
-        ThermalMode, ThermalRow, Tool, ToolGeometry, Tools, VolumetricModel, Warmup,
+        AngleProfile, AngularErrorMotion, AxisChain, AxisModel, Backlash, ElongationSource,
+        Feedback, LearnedChangeLimits, Limits, LinearAxis, PitchErrorTable, RotaryAxis,
+        RotaryLocationErrors, SecondDrive, SensorModel, Spindle, Squareness, Straightness,
+        TemperatureModel, ThermalLaw, ThermalMode, ThermalRow, ToolGeometry, ToolGrowth,
+        ToolGrowthList, VolumetricModel, Warmup,
     },
     spline::{BSpline, SplineError},
 };
@@ -31,20 +32,20 @@ use crate::{
     bounded_read,
     effect::Effect,
     keys::{
-        reader::{Document, Section},
+        reader::{Section, TomlDocument},
         section::NewSection,
         table::Table,
     },
-    location::{BadInput, strip_byte_order_mark},
+    location::{InputFileError, strip_byte_order_mark},
     sections::{
-        axis, inputs, instrument::Instrument, spindle, straightness, thermal_state::ThermalState,
-        volume,
+        axis, inputs, instrument::Instrument, spindle, straightness,
+        thermal_state::ThermalStateSection, volume,
     },
 };
-use writer::Edit;
+use writer::MachineFileEdit;
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
-pub const MAX_FILE_BYTES: u64 = 4 << 20;
+pub const MAX_MACHINE_FILE_BYTES: u64 = 4 << 20;
 
 /// The machine file's reader.
 #[derive(Clone, Copy, Debug)]
@@ -55,7 +56,7 @@ impl MachineFile {
     ///
     /// # Errors
     /// As [`Self::read_text`] and [`Self::parse`].
-    pub fn read(path: &Path) -> Result<Machine, BadInput> {
+    pub fn read(path: &Path) -> Result<Machine, InputFileError> {
         Self::parse(&Self::read_text(path)?, path)
     }
 
@@ -63,8 +64,8 @@ impl MachineFile {
     ///
     /// # Errors
     /// The file cannot be read, is longer than [`MAX_FILE_BYTES`], or is not UTF-8.
-    pub fn read_text(path: &Path) -> Result<String, BadInput> {
-        bounded_read::read_text(path, MAX_FILE_BYTES)
+    pub fn read_text(path: &Path) -> Result<String, InputFileError> {
+        bounded_read::read_text(path, MAX_MACHINE_FILE_BYTES)
     }
 
     /// Reads `source`, the content of the file at `path` (which names it in errors and is not
@@ -73,8 +74,8 @@ impl MachineFile {
     /// # Errors
     /// Invalid TOML, an unknown, missing or repeated key, a value of the wrong type or outside its
     /// range, or something that this version does not run; with its place and the rule.
-    pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
-        let document = Document::parse(strip_byte_order_mark(source), path)?;
+    pub fn parse(source: &str, path: &Path) -> Result<Machine, InputFileError> {
+        let document = TomlDocument::parse(strip_byte_order_mark(source), path)?;
         let root = document.root();
         // Each of its keys would be a fault otherwise.
         if root.keys().contains(&"measure") {
@@ -84,10 +85,10 @@ impl MachineFile {
             return Err(root.key_error("measure", what).with_help(help));
         }
         // Each section can be read by itself once its keys are right.
-        let mut faults = validation::find_key_faults(&root, schema::MACHINE_FILE_KEYS);
+        let mut faults = validation::find_key_errors(&root, schema::MACHINE_FILE_KEYS);
         let terms = || root.sections("term").into_iter().flatten();
-        faults.extend(terms().flat_map(|term| validation::find_term_faults(&term)));
-        if let Some(error) = BadInput::combine(faults) {
+        faults.extend(terms().flat_map(|term| validation::find_term_errors(&term)));
+        if let Some(error) = InputFileError::combine(faults) {
             return Err(error);
         }
         let section = |name: &str| root.section(name).ok().flatten();
@@ -104,17 +105,18 @@ impl MachineFile {
         let angles = faults
             .collect(section("squareness").map(|section| straightness::read_squareness(&section)));
         let angular =
-            faults.collect(section("angular").map(|section| volume::read_angular(&section)));
-        let rotary = faults.collect(section("rotary").map(|section| volume::read_rotary(&section)));
+            faults.collect(section("angular").map(|section| volume::read_angular_errors(&section)));
+        let rotary = faults
+            .collect(section("rotary").map(|section| volume::read_rotary_locations(&section)));
         let tool = faults.collect(section("tool").map(|section| ToolGeometry::read(&section)));
         let limits = faults.collect(section("limits").map(|section| Limits::read(&section)));
-        let thermal_state =
-            faults.collect(section("thermal_state").map(|section| ThermalState::read(&section)));
+        let thermal_state = faults
+            .collect(section("thermal_state").map(|section| ThermalStateSection::read(&section)));
         let instrument =
             faults.collect(section("instrument").map(|section| Instrument::read(&section)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
-        let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
+        let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, InputFileError>>()?;
         // Next to a section that cannot be read it is unknown what a term belongs to.
         if faults.0.is_empty() {
             let misplaced = |(term, section)| term::check(section, term, &spindle, &axes).err();
@@ -130,7 +132,7 @@ impl MachineFile {
                 it.resolve_tool_labels(tools);
             }
         }
-        if let Some(error) = BadInput::combine(faults.0) {
+        if let Some(error) = InputFileError::combine(faults.0) {
             return Err(error);
         }
         let identity = identity.expect("a section that is missing, or cannot be read, is a fault");
@@ -167,11 +169,11 @@ impl MachineFile {
 
 /// The faults found so far.
 #[derive(Default)]
-struct ErrorCollector(Vec<BadInput>);
+struct ErrorCollector(Vec<InputFileError>);
 
 impl ErrorCollector {
     /// Returns what was read of a section, if it is there and right.
-    fn collect<T>(&mut self, read: Option<Result<T, BadInput>>) -> Option<T> {
+    fn collect<T>(&mut self, read: Option<Result<T, InputFileError>>) -> Option<T> {
         read.transpose().unwrap_or_else(|error| {
             self.0.push(error);
             None
@@ -193,8 +195,8 @@ impl Machine {
         sections.extend(straightness::write_squareness(&self.squareness));
         sections.extend(volume::write(&self.volume));
         sections.push(self.limits.write(NewSection::new("limits")));
-        let thermal_state = ThermalState { cold_within_c: self.cold_within_c };
-        if thermal_state != ThermalState::default() {
+        let thermal_state = ThermalStateSection { cold_within_c: self.cold_within_c };
+        if thermal_state != ThermalStateSection::default() {
             sections.push(thermal_state.write(NewSection::new("thermal_state")));
         }
         sections.extend(self.instrument_um.map(|uncertainty_um| {
@@ -208,7 +210,8 @@ impl Machine {
     #[must_use]
     pub fn to_toml(&self) -> String {
         let appended = self.terms.iter().map(Term::to_section).collect();
-        Edit { sections: self.sections(), appended, ..Edit::default() }.to_toml()
+        MachineFileEdit { sections: self.sections(), appended, ..MachineFileEdit::default() }
+            .to_toml()
     }
 }
 

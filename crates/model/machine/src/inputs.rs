@@ -27,7 +27,7 @@ use crate::keys::table::table;
 pub const ADC_REFERENCE_VOLTS: f64 = 3.3;
 
 /// The board's temperature channels are numbered from 0 to this one.
-pub const MAX_CHANNEL: u8 = 7;
+pub const MAX_TEMPERATURE_CHANNEL: u8 = 7;
 
 /// The inputs connected to the board. Needed to run there, not to predict.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -56,7 +56,7 @@ pub struct ConditionInput {
 /// How a temperature comes in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TemperatureInput {
-    /// The converter's number on the board, 0…[`MAX_CHANNEL`]; no two temperatures share one.
+    /// The converter's number on the board, 0…[`MAX_TEMPERATURE_CHANNEL`]; no two temperatures share one.
     pub channel: u8,
     /// The meaning of its counts.
     pub kind: TemperatureKind,

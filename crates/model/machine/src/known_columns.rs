@@ -19,12 +19,13 @@ const fn define_column(
     KnownColumn { name, unit, meaning }
 }
 
-const APPROACH_MEANING: &str =
+const APPROACH_DIRECTION_DESCRIPTION: &str =
     "direction in which the position was approached; +1 where the column is missing";
-const COMMANDED_MEANING: &str = "commanded position";
-const ROTARY_MEANING: &str = "rotary axis";
-const MEASURED_MEANING: &str = "the error on an axis, actual minus commanded";
-const OFFSET_MEANING: &str = "the offset that a bridge sent to the CNC while the row was measured";
+const COMMANDED_POSITION_DESCRIPTION: &str = "commanded position";
+const ROTARY_AXIS_DESCRIPTION: &str = "rotary axis";
+const MEASURED_ERROR_DESCRIPTION: &str = "the error on an axis, actual minus commanded";
+const OFFSET_DESCRIPTION: &str =
+    "the offset that a bridge sent to the CNC while the row was measured";
 
 /// All of them, in the order of the reference.
 pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
@@ -66,21 +67,21 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
     define_column("spindle_rpm", "r/min", "speed; without it the spindle counts as running"),
     define_column("load_n", "N", "axial cutting force; pushing the tool back is positive"),
     define_column("temp_<name>_c", "°C", "any number of temperatures"),
-    define_column("x_mm", "mm", COMMANDED_MEANING),
+    define_column("x_mm", "mm", COMMANDED_POSITION_DESCRIPTION),
     define_column(
         "x_dia_mm",
         "mm",
         "in the place of `x_mm`, of a lathe: commanded diameter. It is read as `x_mm`, half of it; an error in X is of the \
          radius",
     ),
-    define_column("y_mm", "mm", COMMANDED_MEANING),
-    define_column("z_mm", "mm", COMMANDED_MEANING),
-    define_column("a_deg", "°", ROTARY_MEANING),
-    define_column("b_deg", "°", ROTARY_MEANING),
-    define_column("c_deg", "°", ROTARY_MEANING),
-    define_column("dir_x", "+1, −1", APPROACH_MEANING),
-    define_column("dir_y", "+1, −1", APPROACH_MEANING),
-    define_column("dir_z", "+1, −1", APPROACH_MEANING),
+    define_column("y_mm", "mm", COMMANDED_POSITION_DESCRIPTION),
+    define_column("z_mm", "mm", COMMANDED_POSITION_DESCRIPTION),
+    define_column("a_deg", "°", ROTARY_AXIS_DESCRIPTION),
+    define_column("b_deg", "°", ROTARY_AXIS_DESCRIPTION),
+    define_column("c_deg", "°", ROTARY_AXIS_DESCRIPTION),
+    define_column("dir_x", "+1, −1", APPROACH_DIRECTION_DESCRIPTION),
+    define_column("dir_y", "+1, −1", APPROACH_DIRECTION_DESCRIPTION),
+    define_column("dir_z", "+1, −1", APPROACH_DIRECTION_DESCRIPTION),
     define_column(
         "dir",
         "+1, −1",
@@ -92,9 +93,9 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
         "the feed at which the position was approached; `fit backlash` shows whether backlash depends on it",
     ),
     define_column("measured_elongation_um", "µm", "the growth of the spindle"),
-    define_column("measured_dx_um", "µm", MEASURED_MEANING),
-    define_column("measured_dy_um", "µm", MEASURED_MEANING),
-    define_column("measured_dz_um", "µm", MEASURED_MEANING),
+    define_column("measured_dx_um", "µm", MEASURED_ERROR_DESCRIPTION),
+    define_column("measured_dy_um", "µm", MEASURED_ERROR_DESCRIPTION),
+    define_column("measured_dz_um", "µm", MEASURED_ERROR_DESCRIPTION),
     define_column(
         "measured_dr_um",
         "µm",
@@ -105,9 +106,9 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
         "µm",
         "the error along the diagonal, actual minus commanded, of the way from the first to the last row of the set-up; `fit volume`",
     ),
-    define_column("offset_x_um", "µm", OFFSET_MEANING),
-    define_column("offset_y_um", "µm", OFFSET_MEANING),
-    define_column("offset_z_um", "µm", OFFSET_MEANING),
+    define_column("offset_x_um", "µm", OFFSET_DESCRIPTION),
+    define_column("offset_y_um", "µm", OFFSET_DESCRIPTION),
+    define_column("offset_z_um", "µm", OFFSET_DESCRIPTION),
     define_column(
         "quality",
         "0…6",

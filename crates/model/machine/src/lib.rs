@@ -60,5 +60,5 @@ mod unit_conversion;
 pub use compile::{CompiledCalibration, compile};
 pub use file::{Machine, MachineFile};
 
-pub use location::{BadInput, Location};
+pub use location::{InputFileError, Location};
 pub use run_file::RunFile;

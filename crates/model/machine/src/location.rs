@@ -67,24 +67,24 @@ pub(crate) fn strip_byte_order_mark(text: &str) -> &str {
 /// and others.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", escape_line(&format!("{}: {}", .place, .rule)))]
-pub struct BadInput {
+pub struct InputFileError {
     /// Where.
     pub place: Location,
     /// The rule that is broken, with the name and the value at fault.
     pub rule: String,
     /// The remedy, a sentence without its full stop, where there is more to say than the rule.
     pub help: Option<String>,
-    /// The other faults of the same file, in the order of its lines, fewer than [`MAX_LISTED_FAULTS`]; none
+    /// The other faults of the same file, in the order of its lines, fewer than [`MAX_LISTED_ERRORS`]; none
     /// of them has others.
-    pub others: Vec<BadInput>,
+    pub others: Vec<InputFileError>,
     /// How much more is wrong with it than that.
     pub unlisted: usize,
 }
 
 /// Faults of a file that are reported with their lines, at most: more than a screen of them is not read.
-pub const MAX_LISTED_FAULTS: usize = 20;
+pub const MAX_LISTED_ERRORS: usize = 20;
 
-impl BadInput {
+impl InputFileError {
     /// `rule` is broken at `place`.
     #[must_use]
     pub fn new(place: Location, rule: impl Into<String>) -> Self {
@@ -102,16 +102,16 @@ impl BadInput {
     pub fn combine(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
         let mut unlisted = 0;
         let counted = errors.into_iter().inspect(|error| unlisted += error.unlisted);
-        let mut errors: Vec<Self> = counted.flat_map(Self::into_single_faults).collect();
+        let mut errors: Vec<Self> = counted.flat_map(Self::into_single_errors).collect();
         errors.sort_by_key(|error| (error.place.line, error.place.column));
-        unlisted += errors.len().saturating_sub(MAX_LISTED_FAULTS);
-        let mut errors = errors.into_iter().take(MAX_LISTED_FAULTS);
+        unlisted += errors.len().saturating_sub(MAX_LISTED_ERRORS);
+        let mut errors = errors.into_iter().take(MAX_LISTED_ERRORS);
         let first = errors.next()?;
         Some(Self { others: errors.collect(), unlisted, ..first })
     }
 
     /// It, and each of the others that are listed, alone.
-    pub fn into_single_faults(mut self) -> impl Iterator<Item = Self> {
+    pub fn into_single_errors(mut self) -> impl Iterator<Item = Self> {
         let others = std::mem::take(&mut self.others);
         self.unlisted = 0;
         std::iter::once(self).chain(others)
@@ -162,8 +162,8 @@ impl Locations {
 
     /// `key` breaks a rule; `rule` goes on after the key: "must not be 0".
     #[must_use]
-    pub fn key_error(&self, key: &str, rule: impl Display) -> BadInput {
-        BadInput::new(self.locate(key), format!("{key} {rule}"))
+    pub fn key_error(&self, key: &str, rule: impl Display) -> InputFileError {
+        InputFileError::new(self.locate(key), format!("{key} {rule}"))
     }
 }
 
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn a_complaint_is_one_line_even_if_the_user_wrote_line_breaks() {
         let place = Location { file: "a b.toml".into(), line: 3, column: 7 };
-        let bad = BadInput::new(place, "\"x\ny\r\" is unknown");
+        let bad = InputFileError::new(place, "\"x\ny\r\" is unknown");
         assert_eq!(bad.to_string(), "a b.toml:3:7: \"x\\ny\\r\" is unknown");
     }
 

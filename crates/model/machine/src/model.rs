@@ -35,7 +35,7 @@ mod thermometer_delay;
 mod tool_growth;
 mod volume;
 
-pub use crate::{sections::axis::is_reverse, spline::spline_um};
+pub use crate::{sections::axis::is_negative_direction, spline::spline_value_um};
 pub use elongation::{
     WarmupState, elongation_um, heat_input, sensor_counts_from_elongation,
     temperature_elongation_um, warmup_elongation_um,
@@ -44,14 +44,14 @@ pub use kinematics::{
     compensation_offset_um, elongation_error_um, rotate_about_axis, tool_direction,
 };
 pub use lag::Lag;
-pub use pitch::{backlash_um, dual_pitch_um, pitch_um};
+pub use pitch::{backlash_um, dual_pitch_error_um, pitch_error_um};
 pub use reversal::max_over_compensation_um;
-pub use squareness::squareness_um;
+pub use squareness::squareness_error_um;
 
 pub use term::{
     FallingTimeConstants, apply_constant_terms, shift_series, shift_series_at_rows, time_shift_s,
 };
-pub use thermal::{thermal_coefficients, thermal_um};
+pub use thermal::{thermal_coefficients, thermal_error_um};
 pub use thermometer_delay::{part_temperature, part_temperature_from_means, part_temperatures};
 pub(crate) use tool_growth::tool_growth_term;
 pub use volume::volumetric_error_um;
@@ -280,10 +280,11 @@ impl<'m> ReferenceModel<'m> {
         }
         let at = |axis: LinearAxis| situation.position_mm[axis.index()];
         for curve in &self.machine.straightness {
-            parts.straightness_um[curve.error.index()] += spline_um(&curve.spline, at(curve.along));
+            parts.straightness_um[curve.error.index()] +=
+                spline_value_um(&curve.spline, at(curve.along));
         }
         for angle in self.machine.nonzero_squareness_errors() {
-            parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
+            parts.squareness_um[angle.error.index()] += squareness_error_um(angle, at(angle.along));
         }
         let volume = &self.machine.volume;
         let tool = volume.tool.with_length(situation.tool_length_mm);
@@ -346,14 +347,14 @@ impl<'m> ReferenceModel<'m> {
             let lags_s = [thermal.lag_s, self.falling.axes_s[index].unwrap_or(thermal.lag_s)];
             let lag = &mut self.state.axis_lags[index];
             let temperature_c = lag.step_asymmetric(lags_s, time_s, measured_c);
-            parts.thermal_um[index] = thermal_um(thermal, temperature_c, position_mm);
+            parts.thermal_um[index] = thermal_error_um(thermal, temperature_c, position_mm);
         }
         if let Some(pitch) = &axis.pitch {
             parts.pitch_um[index] = match &axis.dual {
-                None => pitch_um(pitch, position_mm, direction),
+                None => pitch_error_um(pitch, position_mm, direction),
                 Some(dual) => {
                     let across_mm = situation.position_mm[dual.across.index()];
-                    dual_pitch_um(pitch, dual, position_mm, across_mm, direction)
+                    dual_pitch_error_um(pitch, dual, position_mm, across_mm, direction)
                 }
             };
         }
@@ -459,7 +460,7 @@ impl Machine {
     fn needs_position(&self, axis: LinearAxis) -> bool {
         let own = &self.axes[axis.index()];
         own.pitch.is_some()
-            || own.thermal.as_ref().is_some_and(|thermal| thermal.mode.has_position())
+            || own.thermal.as_ref().is_some_and(|thermal| thermal.mode.has_position_term())
             || self
                 .axes
                 .iter()

@@ -29,7 +29,7 @@ use trueup_core::dimensions::THERMAL_STEP_MS;
 use crate::{
     effect::Quantity,
     file::Machine,
-    location::{BadInput, Location},
+    location::{InputFileError, Location},
     model::{
         ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
@@ -38,8 +38,8 @@ use crate::{
     unit_conversion::NM_PER_UM,
 };
 use bridge::{BridgeRun, SimulatedBridge};
-use columns::{Columns, value_at_row};
-use number_format::{write_shortest, write_six_decimals};
+use columns::{ModelColumns, value_at_row};
+use number_format::{write_shortest_decimal, write_six_decimals};
 
 pub use crate::model::ErrorValues;
 
@@ -97,7 +97,7 @@ impl Prediction {
 pub struct Predictor<'a> {
     machine: &'a Machine,
     run: &'a RunFile,
-    columns: Columns<'a>,
+    columns: ModelColumns<'a>,
     missing: Vec<String>,
     bridge: Result<SimulatedBridge, String>,
 }
@@ -132,18 +132,18 @@ impl<'a> Predictor<'a> {
     /// # Errors
     /// A column is missing without which nothing can be predicted; a column of the run has the name
     /// of one that is to be written.
-    pub fn new(machine: &'a Machine, run: &'a RunFile) -> Result<Self, BadInput> {
+    pub fn new(machine: &'a Machine, run: &'a RunFile) -> Result<Self, InputFileError> {
         for name in PREDICTION_COLUMNS {
             if run.column(name).is_some() {
                 let rule = format!("column {name} is already there, and would be repeated");
-                return Err(BadInput::new(run.header_location(), rule));
+                return Err(InputFileError::new(run.header_location(), rule));
             }
         }
         let missing: Vec<String> = required_columns(machine)
             .into_iter()
             .filter(|name| run.column(name).is_none())
             .collect();
-        let columns = Columns::new(machine, run);
+        let columns = ModelColumns::new(machine, run);
         if let Some(first) = missing.first()
             && is_unpredictable(machine, &columns)
         {
@@ -172,12 +172,12 @@ impl<'a> Predictor<'a> {
     #[must_use]
     pub fn unsupported_features(&self) -> Vec<&'static str> {
         let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
-        let length = self.has_other_tools().then_some("tool_length_mm");
+        let length = self.has_other_tool_lengths().then_some("tool_length_mm");
         terms.map(|term| term.effect.name()).chain(length).collect()
     }
 
     /// Returns whether a row has a tool of another length than the machine file, and that makes a difference.
-    fn has_other_tools(&self) -> bool {
+    fn has_other_tool_lengths(&self) -> bool {
         let volume = &self.machine.volume;
         let is_other = |length_mm: &f64| *length_mm != volume.tool.length_mm;
         volume.has_errors()
@@ -196,7 +196,7 @@ impl<'a> Predictor<'a> {
         let mut model = self.model_values();
         let compensated = self.machine.with_compensated_terms();
         // Where nothing is left out it is the model, and is not computed twice.
-        let is_less = matches!(compensated, Cow::Owned(_)) || self.has_other_tools();
+        let is_less = matches!(compensated, Cow::Owned(_)) || self.has_other_tool_lengths();
         let mut compensated = is_less.then(|| ReferenceModel::from_machine(compensated));
         let mut bridge =
             self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
@@ -292,7 +292,7 @@ impl<'a> Predictor<'a> {
                 if let Some(label) = self.run.tool_label(value).filter(|_| value < 0.0) {
                     out.write_all(label.as_bytes())?;
                 } else if !value.is_nan() {
-                    write_shortest(&mut out, value)?;
+                    write_shortest_decimal(&mut out, value)?;
                 }
                 out.write_all(b",")?;
             }
@@ -363,7 +363,7 @@ impl<'a> Predictor<'a> {
 }
 
 /// Returns whether no quantity that the machine's model describes can be had from these columns.
-fn is_unpredictable(machine: &Machine, columns: &Columns<'_>) -> bool {
+fn is_unpredictable(machine: &Machine, columns: &ModelColumns<'_>) -> bool {
     // A row in which every column that is there has a value.
     let there = |column: &Option<&[f64]>| column.map_or(f64::NAN, |_| 1.0);
     let temperatures: Vec<_> =

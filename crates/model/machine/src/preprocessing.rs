@@ -15,20 +15,20 @@ use crate::{
     location::Location,
     run_file::RunFile,
     sections::LinearAxis,
-    thermometer_faults::{MAX_ROW_GAP_S, ThermometerFault, find_faults},
+    thermometer_faults::{MAX_ROW_GAP_S, ThermometerFault, find_thermometer_faults},
 };
 
 /// A column of which more than this share is fault values is left unchanged: then it is no temperature at all,
 /// which the units of its values show.
-const MAX_FAULT_SHARE: f64 = 0.5;
+const MAX_FAULT_FRACTION: f64 = 0.5;
 /// A step over more than this many of the usual rows is a pause.
-const MIN_PAUSE_ROWS: f64 = 2.0;
+const MIN_PAUSE_ROW_INTERVALS: f64 = 2.0;
 /// Positions fall as often as they rise if the rarer of the two is at least this share of the other: a
 /// sweep back may have fewer targets, or be cut off.
-const MIN_REVERSAL_SHARE: f64 = 0.5;
+const MIN_REVERSAL_RATIO: f64 = 0.5;
 /// Rows of a sweep, on average. Positions in no order turn in two of three rows, and say nothing of how they
 /// were approached.
-const MIN_SWEEP_ROWS: f64 = 3.0;
+const MIN_MEAN_SWEEP_ROWS: f64 = 3.0;
 
 /// Returns `run` with both steps done, and what is reported of them.
 #[must_use]
@@ -43,12 +43,12 @@ pub fn preprocess_run(run: RunFile, machine: Option<&Machine>) -> (RunFile, Vec<
 /// which column shows which value, and where first.
 #[must_use]
 pub fn without_fault_values(mut run: RunFile) -> (RunFile, Vec<Warning>) {
-    let (follows, near) = row_spacing(&run);
+    let (follows, near) = classify_row_gaps(&run);
     let mut warnings = Vec::new();
     let thermometers = run.columns().iter().filter(|column| is_temperature_column(&column.name));
     let found: Vec<(String, Vec<usize>)> = thermometers
         .map(|column| {
-            let absent = find_faults(&column.values, &follows, &near).into_iter();
+            let absent = find_thermometer_faults(&column.values, &follows, &near).into_iter();
             let rows = absent.flat_map(|fault| match fault {
                 ThermometerFault::Absent { rows, .. } => rows,
                 ThermometerFault::Frozen { .. } | ThermometerFault::Jump { .. } => Vec::new(),
@@ -60,7 +60,7 @@ pub fn without_fault_values(mut run: RunFile) -> (RunFile, Vec<Warning>) {
         .collect();
     for (name, rows) in found {
         let Some(values) = run.column(&name) else { continue };
-        if rows.is_empty() || rows.len() as f64 > MAX_FAULT_SHARE * values.len() as f64 {
+        if rows.is_empty() || rows.len() as f64 > MAX_FAULT_FRACTION * values.len() as f64 {
             continue;
         }
         let mut cleaned = values.to_vec();
@@ -90,7 +90,7 @@ pub fn without_fault_values(mut run: RunFile) -> (RunFile, Vec<Warning>) {
 }
 
 /// By row: whether it is an ordinary time after the one before, and whether at most [`MAX_ROW_GAP_S`].
-fn row_spacing(run: &RunFile) -> (Vec<bool>, Vec<bool>) {
+fn classify_row_gaps(run: &RunFile) -> (Vec<bool>, Vec<bool>) {
     let (time_s, number) = (run.column("time_s"), run.column("run"));
     let apart = |row: usize| time_s.map_or(f64::NAN, |time_s| time_s[row] - time_s[row - 1]);
     let mut all: Vec<f64> = (1..run.row_count()).map(apart).filter(|s| *s > 0.0).collect();
@@ -104,7 +104,8 @@ fn row_spacing(run: &RunFile) -> (Vec<bool>, Vec<bool>) {
             })
     };
     let follows = |row: usize| {
-        let is_pause = usual_s.is_some_and(|usual_s| apart(row) > MIN_PAUSE_ROWS * usual_s);
+        let is_pause =
+            usual_s.is_some_and(|usual_s| apart(row) > MIN_PAUSE_ROW_INTERVALS * usual_s);
         !(apart(row) < 0.0 || is_new_run(row) || is_pause)
     };
     let rows = || 0..run.row_count();
@@ -137,7 +138,7 @@ pub fn with_directions(mut run: RunFile, machine: Option<&Machine>) -> (RunFile,
         };
         let is_needed = machine.is_some_and(|machine| depends_on_approach(machine, axis));
         let is_measured = run.column(&format!("measured_d{}_um", axis.name())).is_some();
-        let is_derived = sweeps.mean_rows >= MIN_SWEEP_ROWS && (is_needed || is_measured);
+        let is_derived = sweeps.mean_rows >= MIN_MEAN_SWEEP_ROWS && (is_needed || is_measured);
         if !is_derived && !is_needed {
             continue;
         }
@@ -194,7 +195,7 @@ impl BidirectionalSweeps {
         let (rises, falls) = (count(1.0), count(-1.0));
         let (rarer, other) = (rises.min(falls), rises.max(falls));
         // The way back to the start of a run is no measurement.
-        if rarer < 2 || (rarer as f64) < MIN_REVERSAL_SHARE * other as f64 {
+        if rarer < 2 || (rarer as f64) < MIN_REVERSAL_RATIO * other as f64 {
             return None;
         }
         let moving: Vec<f64> = signs.iter().copied().filter(|sign| *sign != 0.0).collect();

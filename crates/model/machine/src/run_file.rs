@@ -6,7 +6,7 @@
 //! time of day (ISO 8601) it is read as seconds from the first one of the file.
 //!
 //! The file is read line by line, one line a row, and its memory is that of its values: 12 bytes
-//! each. It is bounded: by `MAX_BYTES`, [`MAX_COLUMNS`] and `MAX_VALUES`, and a line by
+//! each. It is bounded: by `MAX_RUN_FILE_BYTES`, [`MAX_RUN_FILE_COLUMNS`] and `MAX_RUN_FILE_VALUES`, and a line by
 //! 1 MiB.
 
 mod bridge_record;
@@ -33,13 +33,13 @@ use std::{
 
 use crate::{
     bounded_read,
-    location::{BadInput, Location, did_you_mean},
+    location::{InputFileError, Location, did_you_mean},
 };
 use table::{ColumnTypo, RunTable, SizeLimits};
 
-pub(crate) use table::MAX_BYTES;
-pub(crate) use table::MAX_VALUES;
-pub use table::{Column, MAX_COLUMNS};
+pub(crate) use table::MAX_RUN_FILE_BYTES;
+pub(crate) use table::MAX_RUN_FILE_VALUES;
+pub use table::{Column, MAX_RUN_FILE_COLUMNS};
 
 pub use crate::known_columns::is_known_column;
 
@@ -61,16 +61,16 @@ impl RunFile {
     ///
     /// # Errors
     /// The file cannot be read, or breaks a rule of [`Self::from_reader`].
-    pub fn read(path: &Path) -> Result<Self, BadInput> {
+    pub fn read(path: &Path) -> Result<Self, InputFileError> {
         Self::from_reader(BufReader::new(Self::open(path)?), path)
     }
 
     /// Opens the run file at `path`, for [`Self::from_reader`].
     ///
     /// # Errors
-    /// The file cannot be opened, or is longer than `MAX_BYTES`.
-    pub fn open(path: &Path) -> Result<File, BadInput> {
-        bounded_read::open(path, MAX_BYTES)
+    /// The file cannot be opened, or is longer than `MAX_RUN_FILE_BYTES`.
+    pub fn open(path: &Path) -> Result<File, InputFileError> {
+        bounded_read::open(path, MAX_RUN_FILE_BYTES)
     }
 
     /// Reads a run from `source`; `path` names it in errors.
@@ -84,18 +84,22 @@ impl RunFile {
     /// No header or no row; a column without a name or with that of another; a row with more or
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
-    /// text that is not UTF-8; a source that cannot be read; more than `MAX_BYTES`,
-    /// [`MAX_COLUMNS`] or `MAX_VALUES`. All that is wrong with a file is reported at once, up to
-    /// [`MAX_LISTED_FAULTS`](crate::location::MAX_LISTED_FAULTS) faults with their places.
-    pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        Self::read_within_bounds(SizeLimits { bytes: MAX_BYTES, values: MAX_VALUES }, source, path)
+    /// text that is not UTF-8; a source that cannot be read; more than `MAX_RUN_FILE_BYTES`,
+    /// [`MAX_RUN_FILE_COLUMNS`] or `MAX_RUN_FILE_VALUES`. All that is wrong with a file is reported at once, up to
+    /// [`MAX_LISTED_ERRORS`](crate::location::MAX_LISTED_ERRORS) faults with their places.
+    pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, InputFileError> {
+        Self::read_within_limits(
+            SizeLimits { bytes: MAX_RUN_FILE_BYTES, values: MAX_RUN_FILE_VALUES },
+            source,
+            path,
+        )
     }
 
-    fn read_within_bounds(
+    fn read_within_limits(
         bounds: SizeLimits,
         source: impl BufRead,
         path: &Path,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let RunTable { columns, header_line, line_of_row, slips, labels, epoch_s } =
             reader::read(bounds, source, path)?;
         let path = path.to_path_buf();
@@ -137,10 +141,10 @@ impl RunFile {
     ///
     /// # Errors
     /// There is no such column: the rule lists those that are there.
-    pub fn require_column(&self, name: &str) -> Result<&[f64], BadInput> {
+    pub fn require_column(&self, name: &str) -> Result<&[f64], InputFileError> {
         self.column(name).ok_or_else(|| {
             if let Some(typo) = self.slips.iter().find(|typo| typo.meant == name) {
-                return BadInput::new(
+                return InputFileError::new(
                     self.header_location_at(typo.column),
                     format!(
                         "column {name} is missing; {} is no column that is known: if it was meant, \
@@ -153,17 +157,17 @@ impl RunFile {
             let there = names().collect::<Vec<_>>().join(", ");
             let suggestion = did_you_mean(name, names());
             let rule = format!("column {name} is missing; there are {there}{suggestion}");
-            BadInput::new(self.header_location(), rule)
+            InputFileError::new(self.header_location(), rule)
         })
     }
 
     /// Names of columns that look like a known one, each with its place and what was probably meant.
-    pub fn column_typos(&self) -> impl Iterator<Item = BadInput> {
+    pub fn column_typos(&self) -> impl Iterator<Item = InputFileError> {
         self.slips.iter().map(|ColumnTypo { name, meant, column }| {
             let rule = format!("{name} is no column that is known; did you mean {meant}?");
             let help =
                 format!("give it as {meant}, in that unit; else it is only a possible explanation");
-            BadInput::new(self.header_location_at(*column), rule).with_help(help)
+            InputFileError::new(self.header_location_at(*column), rule).with_help(help)
         })
     }
 
@@ -177,7 +181,7 @@ impl RunFile {
     /// let slip = run.column_typo(|name| name.starts_with("measured_")).unwrap();
     /// assert!(slip.to_string().starts_with("r.csv:1:8: column measured_dz_um is missing; measured_dz_mm is"));
     /// ```
-    pub fn column_typo(&self, is_requested: impl Fn(&str) -> bool) -> Option<BadInput> {
+    pub fn column_typo(&self, is_requested: impl Fn(&str) -> bool) -> Option<InputFileError> {
         let typo = self.slips.iter().find(|typo| is_requested(&typo.meant))?;
         self.require_column(&typo.meant).err()
     }
@@ -254,8 +258,8 @@ impl RunFile {
     /// The value of `column` in `row` (from 0) breaks a rule; `rule` goes on after the column's
     /// name: "40000 is outside 0…32768".
     #[must_use]
-    pub fn value_error(&self, row: usize, column: &str, rule: impl Display) -> BadInput {
-        BadInput::new(self.value_location(row, column), format!("{column} {rule}"))
+    pub fn value_error(&self, row: usize, column: &str, rule: impl Display) -> InputFileError {
+        InputFileError::new(self.value_location(row, column), format!("{column} {rule}"))
     }
 
     /// Where the header row begins: for what is wrong with the columns as a whole.

@@ -10,7 +10,7 @@ use crate::{
     file::schema::MACHINE_FILE_KEYS,
     keys::{
         key::{Key, Requirement, ValueType},
-        reader::{Document, MAX_ARRAY_LENGTH},
+        reader::{MAX_ARRAY_LENGTH, TomlDocument},
         term::{TERM, TERM_KEYS},
     },
     known_columns::KNOWN_COLUMNS,
@@ -147,7 +147,7 @@ pub fn cause_keys(cause: Cause) -> Vec<&'static str> {
     for adjacent in [""].into_iter().chain(TERM_KEYS.iter().map(|key| key.name)) {
         let text =
             if adjacent.is_empty() { "[t]\n".into() } else { format!("[t]\n{adjacent} = 1\n") };
-        let Ok(document) = Document::parse(&text, Path::new("")) else { continue };
+        let Ok(document) = TomlDocument::parse(&text, Path::new("")) else { continue };
         let Ok(Some(section)) = document.root().section("t") else { continue };
         for name in cause.keys(&section) {
             if !names.contains(name) {
@@ -164,12 +164,12 @@ pub fn machine_file_markdown() -> String {
     let mut rows =
         "| key | unit | range | default | what | for example |\n|---|---|---|---|---|---|\n"
             .to_string();
-    append_rows(MACHINE_FILE_KEYS, "", &mut rows);
+    append_key_rows(MACHINE_FILE_KEYS, "", &mut rows);
     rows
 }
 
 /// The rows of a section and of those in it. Sections that are alike are there once.
-fn append_rows(keys: &[Key], section: &str, rows: &mut String) {
+fn append_key_rows(keys: &[Key], section: &str, rows: &mut String) {
     let is_table = |key: &&Key| matches!(key.form, ValueType::Table(_));
     for key in keys.iter().filter(|key| !is_table(key)) {
         if matches!(key.form, ValueType::Terms) {
@@ -217,7 +217,7 @@ fn append_rows(keys: &[Key], section: &str, rows: &mut String) {
             elsewhere.as_deref().unwrap_or_default()
         ));
         if elsewhere.is_none() {
-            append_rows(inner, &name, rows);
+            append_key_rows(inner, &name, rows);
         }
         seen.push((inner.as_ptr(), name));
     }

@@ -18,9 +18,11 @@ pub use axis::{
     AxisModel, Backlash, Feedback, LinearAxis, PitchErrorTable, RotaryAxis, SecondDrive,
     ThermalLaw, ThermalMode, ThermalRow,
 };
-pub use chain::Chain;
-pub use limits::{LearnedCaps, Limits};
+pub use chain::AxisChain;
+pub use limits::{LearnedChangeLimits, Limits};
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{Squareness, Straightness};
-pub use tools::{Tool, Tools};
-pub use volume::{Angle, AngularErrorMotion, RotaryLocationErrors, ToolGeometry, VolumetricModel};
+pub use tools::{ToolGrowth, ToolGrowthList};
+pub use volume::{
+    AngleProfile, AngularErrorMotion, RotaryLocationErrors, ToolGeometry, VolumetricModel,
+};

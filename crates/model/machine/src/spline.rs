@@ -113,18 +113,18 @@ impl BSpline {
 /// the rules of [`BSpline::validate`].
 ///
 /// ```
-/// use trueup_machine::{file::BSpline, model::spline_um};
+/// use trueup_machine::{file::BSpline, model::spline_value_um};
 /// // One cubic segment: half way it is (1·0 + 3·8 + 3·8 + 1·0)/8.
 /// let hump = BSpline {
 ///     order: 4,
 ///     knots_mm: vec![0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 10.0, 10.0],
 ///     control_um: vec![0.0, 8.0, 8.0, 0.0],
 /// };
-/// assert_eq!(spline_um(&hump, 5.0), 6.0);
-/// assert_eq!(spline_um(&hump, -1.0), 0.0);
+/// assert_eq!(spline_value_um(&hump, 5.0), 6.0);
+/// assert_eq!(spline_value_um(&hump, -1.0), 0.0);
 /// ```
 #[must_use]
-pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
+pub fn spline_value_um(spline: &BSpline, position_mm: f64) -> f64 {
     let Some(at) = KnotSpan::find(spline, position_mm) else { return f64::NAN };
     let mut d = [0.0; 4];
     d[..spline.order].copy_from_slice(&spline.control_um[at.first..at.first + spline.order]);
@@ -132,7 +132,7 @@ pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
 }
 
 /// Returns how much each control point weighs at `position_mm`: the number of the first of as many as the
-/// order says, and their weights, which add up to 1. All NaN where [`spline_um`] is.
+/// order says, and their weights, which add up to 1. All NaN where [`spline_value_um`] is.
 #[must_use]
 pub(crate) fn spline_basis_values(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
     let Some(at) = KnotSpan::find(spline, position_mm) else { return (0, [f64::NAN; 4]) };
@@ -239,7 +239,7 @@ mod tests {
                 let sum: f64 = (0..spline.control_um.len())
                     .map(|j| basis(knots, j, spline.order, t) * spline.control_um[j])
                     .sum();
-                worst = worst.max((spline_um(&spline, t) - sum).abs());
+                worst = worst.max((spline_value_um(&spline, t) - sum).abs());
             }
         }
         println!("de Boor against the basis: {worst:e} µm");
@@ -249,19 +249,19 @@ mod tests {
     #[test]
     fn the_examples_middle_is_what_the_hand_finds() {
         // At the knot 500 the three control points around it weigh 1/4, 1/2, 1/4.
-        assert!((spline_um(&example(), 500.0) - (3.0 - 2.0 * 2.0 + 4.0) / 4.0).abs() < 1e-12);
+        assert!((spline_value_um(&example(), 500.0) - (3.0 - 2.0 * 2.0 + 4.0) / 4.0).abs() < 1e-12);
     }
 
     #[test]
     fn a_clamped_spline_begins_and_ends_at_its_end_points_and_is_held_outside() {
         let spline = BSpline { control_um: vec![1.5, 3.0, -2.0, 4.0, -7.0], ..example() };
         for position_mm in [f64::NEG_INFINITY, -1.0, 0.0] {
-            assert_eq!(spline_um(&spline, position_mm), 1.5);
+            assert_eq!(spline_value_um(&spline, position_mm), 1.5);
         }
         for position_mm in [1000.0, 1000.1, f64::INFINITY] {
-            assert_eq!(spline_um(&spline, position_mm), -7.0);
+            assert_eq!(spline_value_um(&spline, position_mm), -7.0);
         }
-        assert!(spline_um(&spline, f64::NAN).is_nan());
+        assert!(spline_value_um(&spline, f64::NAN).is_nan());
     }
 
     #[test]
@@ -272,7 +272,7 @@ mod tests {
             control_um: vec![1.0, 5.0, -5.0],
         };
         for (position_mm, um) in [(0.0, 1.0), (5.0, 3.0), (10.0, 5.0), (20.0, 0.0), (30.0, -5.0)] {
-            assert_eq!(spline_um(&line, position_mm), um);
+            assert_eq!(spline_value_um(&line, position_mm), um);
         }
     }
 
@@ -285,7 +285,9 @@ mod tests {
         let line = BSpline { control_um, ..example() };
         for step in 0..=100 {
             let position_mm = f64::from(step) * 10.0;
-            assert!((spline_um(&line, position_mm) - (0.02 * position_mm - 4.0)).abs() < 1e-12);
+            assert!(
+                (spline_value_um(&line, position_mm) - (0.02 * position_mm - 4.0)).abs() < 1e-12
+            );
         }
     }
 
@@ -295,7 +297,7 @@ mod tests {
         let empty = BSpline { knots_mm: vec![], control_um: vec![], order: 0 };
         let falling = BSpline { knots_mm: (0..9).rev().map(f64::from).collect(), ..example() };
         for spline in [short, empty, falling] {
-            assert!(spline_um(&spline, 0.5).is_nan());
+            assert!(spline_value_um(&spline, 0.5).is_nan());
             assert!(spline.validate().is_err());
         }
     }

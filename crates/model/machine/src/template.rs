@@ -61,7 +61,7 @@ pub enum CncControl {
 
 impl CncControl {
     /// Its name for `trueup program` and for `trueup export`.
-    fn command_names(self) -> (&'static str, &'static str) {
+    fn cli_names(self) -> (&'static str, &'static str) {
         match self {
             Self::LinuxCnc => ("linuxcnc", "linuxcnc"),
             Self::Siemens => ("siemens", "siemens-840d"),
@@ -161,7 +161,7 @@ impl Template {
 
     /// Writes the commands that come next, each as it can be typed.
     fn write_next_steps(&self, out: &mut String, file: &str) -> std::fmt::Result {
-        let (program, export) = self.control.command_names();
+        let (program, export) = self.control.cli_names();
         // An ending of its own for each step: no command overwrites what it reads.
         let stem = file.strip_suffix(".toml").unwrap_or(file);
         let word = |text: &str| shell_quote(text);

@@ -35,7 +35,7 @@ pub const MAX_ROW_GAP_S: f64 = 300.0;
 const TAIL_STEP_COUNT: usize = 20;
 /// A step whose neighbour goes on by more than this share of it is the way of a thermal mass: one with a
 /// time constant of a third of a row and more (e⁻³).
-const MAX_CONTINUATION_SHARE: f64 = 0.05;
+const MAX_CONTINUATION_RATIO: f64 = 0.05;
 /// Rows on each side by which a value is compared with its neighbours' median.
 const NEIGHBOUR_ROWS: usize = 3;
 /// Parts of a channel of which the quietest says how much noise there is.
@@ -44,7 +44,7 @@ const NOISE_PART_COUNT: usize = 4;
 const MAX_PART_VALUES: usize = 4096;
 /// The most that a sound channel changes from row to row: a logger that is faster than its thermometers
 /// writes each reading down twice.
-const MAX_CHANGE_SHARE: f64 = 0.5;
+const MAX_CHANGE_PROBABILITY: f64 = 0.5;
 /// Levels of the last digit that a channel must have been at: only then its noise was seen at all
 /// phases between two of them.
 const MIN_QUANTISATION_LEVELS: usize = 5;
@@ -86,21 +86,27 @@ struct ThermometerChannel {
 /// Returns the faults of a channel of one file. `follows`: whether a row is an ordinary time after the one
 /// before; `near`: whether it is at most [`MAX_ROW_GAP_S`] after it.
 #[must_use]
-pub fn find_faults(values: &[f64], follows: &[bool], near: &[bool]) -> Vec<ThermometerFault> {
+pub fn find_thermometer_faults(
+    values: &[f64],
+    follows: &[bool],
+    near: &[bool],
+) -> Vec<ThermometerFault> {
     let mut faults = Vec::new();
     let beyond = |value: f64| {
         value <= RTD_RANGE_C[0] || value >= RTD_RANGE_C[1] || value == DEVICE_DISCONNECTED_C
     };
     let mut sound: Vec<f64> = values.to_vec();
     let mut ends = Vec::new();
-    (0..values.len()).filter(|&row| beyond(values[row])).for_each(|row| push_row(&mut ends, row));
+    (0..values.len())
+        .filter(|&row| beyond(values[row]))
+        .for_each(|row| push_row_to_ranges(&mut ends, row));
     if let Some(first) = ends.first() {
         let fault = ThermometerFault::Absent { shown: values[first.start], rows: ends };
-        fault.mask(&mut sound);
+        fault.mask_faulty_rows(&mut sound);
         faults.push(fault);
     }
     if let Some(fault) = find_power_on_values(&sound, near) {
-        fault.mask(&mut sound);
+        fault.mask_faulty_rows(&mut sound);
         faults.push(fault);
     }
     loop {
@@ -109,7 +115,7 @@ pub fn find_faults(values: &[f64], follows: &[bool], near: &[bool]) -> Vec<Therm
         let is_absent = |fault: &ThermometerFault| matches!(fault, ThermometerFault::Absent { .. });
         let is_last = !by_step.iter().any(is_absent);
         by_step.retain(|fault| is_last || is_absent(fault));
-        by_step.iter().for_each(|fault| fault.mask(&mut sound));
+        by_step.iter().for_each(|fault| fault.mask_faulty_rows(&mut sound));
         faults.extend(by_step);
         if is_last {
             break;
@@ -146,7 +152,7 @@ fn find_power_on_values(values: &[f64], near: &[bool]) -> Option<ThermometerFaul
 
 impl ThermometerFault {
     /// Takes the rows in which nothing was measured out of `values`.
-    fn mask(&self, values: &mut [f64]) {
+    fn mask_faulty_rows(&self, values: &mut [f64]) {
         match self {
             Self::Absent { rows, .. } => {
                 rows.iter().for_each(|rows| values[rows.clone()].fill(f64::NAN));
@@ -158,7 +164,7 @@ impl ThermometerFault {
 }
 
 /// A row more, at the end of the last range where it follows it.
-fn push_row(rows: &mut Vec<Range<usize>>, row: usize) {
+fn push_row_to_ranges(rows: &mut Vec<Range<usize>>, row: usize) {
     match rows.last_mut() {
         Some(last) if last.end == row => last.end = row + 1,
         _ => rows.push(row..row + 1),
@@ -256,7 +262,7 @@ impl ThermometerChannel {
             let jump = |&step: &usize| {
                 let jump =
                     ThermometerFault::Jump { by: self.steps[step], row: self.rows[step + 1] };
-                self.frozen_run_at_step(step).unwrap_or(jump)
+                self.find_frozen_run_at_step(step).unwrap_or(jump)
             };
             faults.extend(jumps.iter().map(jump));
         }
@@ -265,13 +271,13 @@ impl ThermometerChannel {
 
     /// Returns the run of equal values that a step begins or ends, if there is none half as long elsewhere: then
     /// the channel stood still there, and the step is what it missed.
-    fn frozen_run_at_step(&self, step: usize) -> Option<ThermometerFault> {
-        let mut runs = equal_value_runs(&self.values);
+    fn find_frozen_run_at_step(&self, step: usize) -> Option<ThermometerFault> {
+        let mut runs = find_equal_value_runs(&self.values);
         runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         let [longest, second, ..] = &runs[..] else { return None };
         let is_adjacent = longest.end == step + 1 || longest.start == step + 1;
         let is_long = longest.len() > 2 * second.len()
-            && longest.len() as f64 > self.max_chance_run_length(MAX_CHANGE_SHARE);
+            && longest.len() as f64 > self.max_chance_run_length(MAX_CHANGE_PROBABILITY);
         (is_adjacent && is_long).then(|| self.frozen_fault(longest))
     }
 
@@ -298,17 +304,17 @@ impl ThermometerChannel {
         let neighbours = [step.checked_sub(1), Some(step + 1)].into_iter().flatten();
         neighbours
             .filter_map(|at| self.steps.get(at))
-            .all(|next| next * by <= MAX_CONTINUATION_SHARE * by * by)
+            .all(|next| next * by <= MAX_CONTINUATION_RATIO * by * by)
     }
 
     /// Runs of equal values longer than the noise allows. White noise of σ on a last digit q changes what
     /// is shown from row to row with at least p = 2·(1 − Φ(q/2σ)), that of a value midway between two
     /// steps of the digit; the share of values that differ from their neighbours' median is 0.8·σ/q.
     fn find_frozen_runs(&self) -> Vec<ThermometerFault> {
-        let mut runs = equal_value_runs(&self.values);
+        let mut runs = find_equal_value_runs(&self.values);
         let longest = runs.iter().map(Range::len).max().unwrap_or(0);
         // Most channels are done here.
-        if longest as f64 <= self.max_chance_run_length(MAX_CHANGE_SHARE) {
+        if longest as f64 <= self.max_chance_run_length(MAX_CHANGE_PROBABILITY) {
             return Vec::new();
         }
         let hold = typical_hold_rows(&runs);
@@ -331,10 +337,10 @@ impl ThermometerChannel {
         }
         let quietest = rest
             .chunks_exact(part)
-            .map(|part| non_median_share(&part[..part.len().min(MAX_PART_VALUES)]))
+            .map(|part| non_median_fraction(&part[..part.len().min(MAX_PART_VALUES)]))
             .fold(f64::INFINITY, f64::min);
         let digits_per_sigma = 0.8 / quietest;
-        let changes = erfc(digits_per_sigma / 2.0 / SQRT_2).min(MAX_CHANGE_SHARE);
+        let changes = erfc(digits_per_sigma / 2.0 / SQRT_2).min(MAX_CHANGE_PROBABILITY);
         if changes == 0.0 {
             return Vec::new();
         }
@@ -344,7 +350,7 @@ impl ThermometerChannel {
 }
 
 /// Where values are equal one after the other.
-fn equal_value_runs(values: &[f64]) -> Vec<Range<usize>> {
+fn find_equal_value_runs(values: &[f64]) -> Vec<Range<usize>> {
     let mut runs = Vec::new();
     let mut start = 0;
     for at in 1..=values.len() {
@@ -366,7 +372,7 @@ fn typical_hold_rows(runs: &[Range<usize>]) -> usize {
 
 /// Returns the share of values that are not the median of those around them: of anything that rises or falls,
 /// none; of noise, some.
-fn non_median_share(values: &[f64]) -> f64 {
+fn non_median_fraction(values: &[f64]) -> f64 {
     let differs = |window: &&[f64]| {
         let mut sorted = window.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);

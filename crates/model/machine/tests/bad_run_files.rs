@@ -5,9 +5,11 @@ use std::{
     path::Path,
 };
 
-use trueup_machine::{BadInput, RunFile, location::MAX_LISTED_FAULTS, run_file::MAX_COLUMNS};
+use trueup_machine::{
+    InputFileError, RunFile, location::MAX_LISTED_ERRORS, run_file::MAX_RUN_FILE_COLUMNS,
+};
 
-fn error_of(bytes: &[u8]) -> BadInput {
+fn error_of(bytes: &[u8]) -> InputFileError {
     match RunFile::from_reader(bytes, Path::new("bad.csv")) {
         Ok(_) => panic!("{:?} was accepted", String::from_utf8_lossy(bytes)),
         Err(error) => error,
@@ -149,11 +151,11 @@ fn a_line_without_an_end_is_refused_where_it_begins() {
 
 #[test]
 fn a_column_too_many_is_refused_at_its_name() {
-    let most = header(MAX_COLUMNS) + &"1,".repeat(MAX_COLUMNS - 1) + "1\n";
+    let most = header(MAX_RUN_FILE_COLUMNS) + &"1,".repeat(MAX_RUN_FILE_COLUMNS - 1) + "1\n";
     let run = RunFile::from_reader(most.as_bytes(), Path::new("r.csv")).expect("as many as may be");
-    assert_eq!(run.columns().len(), MAX_COLUMNS);
-    let error = error_of(header(MAX_COLUMNS + 1).as_bytes()).to_string();
-    let column = header(MAX_COLUMNS).len() + 1;
+    assert_eq!(run.columns().len(), MAX_RUN_FILE_COLUMNS);
+    let error = error_of(header(MAX_RUN_FILE_COLUMNS + 1).as_bytes()).to_string();
+    let column = header(MAX_RUN_FILE_COLUMNS).len() + 1;
     assert_eq!(error, format!("bad.csv:1:{column}: more than 4096 columns"));
 }
 
@@ -162,7 +164,7 @@ fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
     let error = error_of(text.as_bytes());
     let unlisted = error.unlisted;
     (
-        error.into_single_faults().map(|fault| (fault.place.line, fault.place.column)).collect(),
+        error.into_single_errors().map(|fault| (fault.place.line, fault.place.column)).collect(),
         unlisted,
     )
 }
@@ -184,11 +186,11 @@ fn all_that_is_wrong_with_a_file_is_reported_at_once_in_its_order() {
     let late = "time_s,x_mm\n5,x\n4,1\n4,2\n";
     assert_eq!(places_of(late), (vec![(2, 3), (3, 1)], 0));
     // Each says what to do about it.
-    for error in error_of(text.as_bytes()).into_single_faults() {
+    for error in error_of(text.as_bytes()).into_single_errors() {
         assert!(error.help.is_some(), "{error}");
     }
     let latin_1 = error_of(b"a,b\n1,x\n\xb5,2\n3,y\n");
-    let places: Vec<usize> = latin_1.into_single_faults().map(|fault| fault.place.line).collect();
+    let places: Vec<usize> = latin_1.into_single_errors().map(|fault| fault.place.line).collect();
     assert_eq!(places, [2, 3, 4]);
 }
 
@@ -196,7 +198,7 @@ fn all_that_is_wrong_with_a_file_is_reported_at_once_in_its_order() {
 fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_reported_and_the_others_counted() {
     let text = "time_s;x_mm\n".to_string() + &"0;1,5\n".repeat(332);
     let (places, unlisted) = places_of(&text);
-    assert_eq!((places.len(), unlisted), (MAX_LISTED_FAULTS, 312));
+    assert_eq!((places.len(), unlisted), (MAX_LISTED_ERRORS, 312));
     assert_eq!((places[0], places[19]), ((2, 3), (21, 3)));
     // What stops the reading is among them.
     let cut = text + &"1".repeat(2 << 20);

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use trueup_core::term::Effect;
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile, check, compile, compile::missing_inputs, decompile,
-    predict::Predictor,
+    InputFileError, Machine, MachineFile, RunFile, check, compile, compile::missing_input_lines,
+    decompile, predict::Predictor,
 };
 
 const HEAD: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -15,7 +15,7 @@ const COOLANT: &str = "[[term]]\ncause = \"dependence\"\nquantity = \"dx\"\ncolu
                        form = \"level\"\nlevels = [0.0, 1.0]\nlevel_um = [0.0, 5.25]\n";
 const DECLARED: &str = "[inputs]\ncoolant_on = { kind = \"condition\", bit = 4, default = 1 }\n";
 
-fn parsed(text: &str) -> Result<Machine, BadInput> {
+fn parsed(text: &str) -> Result<Machine, InputFileError> {
     MachineFile::parse(&format!("{HEAD}{text}"), Path::new("m.toml"))
 }
 
@@ -131,7 +131,7 @@ fn a_condition_that_is_not_declared_is_asked_for_by_its_line() {
     let undeclared =
         machine(&format!("[inputs]\ndoor = {{ kind = \"condition\", bit = 0 }}\n{COOLANT}"));
     let line = "coolant_on = { kind = \"condition\", bit = 1 }";
-    assert_eq!(missing_inputs(&undeclared), [line]);
+    assert_eq!(missing_input_lines(&undeclared), [line]);
     let error = compile(&undeclared).expect_err("no bit");
     assert!(error.rule.contains(line), "{error}");
     let compiled = compile(&machine(&format!("{DECLARED}{COOLANT}"))).expect("declared");

@@ -184,7 +184,7 @@ fn validates(text: &str) -> Result<(), String> {
     check(&schema::machine_file_schema(), &json_of(document.as_item()), "")
 }
 
-fn parse(text: &str) -> Result<Machine, trueup_machine::BadInput> {
+fn parse(text: &str) -> Result<Machine, trueup_machine::InputFileError> {
     MachineFile::parse(text, Path::new("m.toml"))
 }
 
@@ -378,7 +378,7 @@ fn all_that_is_wrong_in_a_file_is_reported_at_once_in_the_order_of_its_lines() {
     let text = "[machine]\nname = \"m\"\nkind = \"4-axis\"\n\n[limits]\nslew_um_per_s = -1.0\nhold_ms = 2.5\n\
                 slow = 3\n\n[axis.x.backlash]\nramp_mm = 0.1\n\n[[term]]\ncause = \"backlsh\"\nquantity = \"dx\"\n";
     let error = parse(text).expect_err("six things are wrong");
-    let messages: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
+    let messages: Vec<String> = error.into_single_errors().map(|fault| fault.to_string()).collect();
     let expected = [
         "m.toml:3:8: machine.kind must be",
         "m.toml:6:17: limits.slew_um_per_s must be above 0, not -1",

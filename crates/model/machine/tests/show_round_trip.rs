@@ -7,8 +7,8 @@ use trueup_core::{
     calibration::{Calibration, ElongationSource},
     learned::LearnedLimits,
     limits::Limits,
-    sensor::{SensorLaw, Slope},
-    tool_direction::Direction,
+    sensor::{SensorLaw, SensorSlope},
+    tool_direction::ToolDirection,
     units::{Nanometres, Reading, Temperature},
 };
 use trueup_machine::{CompiledCalibration, MachineFile, compile, decompile};
@@ -78,7 +78,7 @@ impl Random {
             let sensor = SensorLaw {
                 k0: Nanometres(self.integer()),
                 zero: Reading(self.integer()),
-                slope: Slope(self.integer()),
+                slope: SensorSlope(self.integer()),
             };
             let ends = [0, 4096 * 1024].map(|reading| {
                 let grown = f64::from(reading) - f64::from(sensor.zero.0);
@@ -99,8 +99,10 @@ impl Random {
     }
 }
 
-fn stored(unit_vector: [f64; 3]) -> Direction {
-    Direction(unit_vector.map(|component| (component * f64::from(Direction::ONE)).round() as i32))
+fn stored(unit_vector: [f64; 3]) -> ToolDirection {
+    ToolDirection(
+        unit_vector.map(|component| (component * f64::from(ToolDirection::ONE)).round() as i32),
+    )
 }
 
 fn compiled(toml: &str) -> CompiledCalibration {

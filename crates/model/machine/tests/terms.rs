@@ -18,7 +18,7 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     effect::{Cause, Effect, Outliers, Quantity},
-    file::{Term, writer::Edit},
+    file::{Term, writer::MachineFileEdit},
     predict::{Prediction, Predictor},
 };
 
@@ -403,7 +403,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
 /// Terms as they stand in a machine file.
 fn written(terms: &[Term]) -> String {
     let appended = terms.iter().map(Term::to_section).collect();
-    Edit { appended, ..Edit::default() }.to_toml()
+    MachineFileEdit { appended, ..MachineFileEdit::default() }.to_toml()
 }
 
 #[test]

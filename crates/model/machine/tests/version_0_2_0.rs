@@ -10,8 +10,8 @@ use std::{
 };
 
 use trueup_core::{
-    bridge::Input,
-    cnc::{AxisPosition, Control, LinearAxis, Rotary, TravelDirection},
+    bridge::TickInput,
+    cnc::{AxisPosition, Control, LinearAxis, RotaryAxisAngles, TravelDirection},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
@@ -112,7 +112,7 @@ fn a_board_takes_and_runs_every_calibration_of_0_2_0() {
         slot.append(&blob).expect("it was opened");
         slot.close().expect("all has come");
         let mut load = slot.take().expect("it is whole");
-        assert_eq!(load.validate(), Ok(&blob[..]), "{name}");
+        assert_eq!(load.validate_blob(), Ok(&blob[..]), "{name}");
         let calibration = decode(&blob).expect("as above");
         let mut node = Node::new(Configuration { blob: &blob, ..calibration.into() });
         let c = if name == "gantry" { GANTRY_C } else { SHOP_C };
@@ -147,7 +147,10 @@ fn run(node: &mut Node<'_>, temperatures: &RawTemperatures) {
             let counter = u8::try_from(ms / 20).expect("below 100");
             let control = Control { engage: counter >= 3, ..Control::REFERENCED };
             let mut frames = vec![frames::encode_control(control, counter)];
-            frames.push(frames::encode_rotary(Rotary { angles: [MicroDegrees(0); 2] }, counter));
+            frames.push(frames::encode_rotary(
+                RotaryAxisAngles { angles: [MicroDegrees(0); 2] },
+                counter,
+            ));
             frames.extend(LinearAxis::ALL.map(|axis| {
                 let (position, direction) = (Position(0), TravelDirection::Positive);
                 frames::encode_position(AxisPosition { axis, position, direction }, counter)
@@ -156,7 +159,7 @@ fn run(node: &mut Node<'_>, temperatures: &RawTemperatures) {
                 node.receive(Interface::Can, &frame).expect("in order");
             }
         }
-        let input = Input {
+        let input = TickInput {
             codes: Some(&codes),
             speed: Some(Rpm(12_000)),
             temperatures: ms.is_multiple_of(100).then_some(temperatures),

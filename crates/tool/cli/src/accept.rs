@@ -66,14 +66,14 @@ pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
     acceptance.notes.iter().for_each(report::warn);
     if let Some(text) = acceptance.adjusted_machine_file() {
         let before = believed.map(|(_, machine)| machine);
-        files::check_before_write(text, &args.out.join("adjusted.toml"), before)?;
+        files::check_machine_before_write(text, &args.out.join("adjusted.toml"), before)?;
     }
     let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
     write(args, &acceptance, name)?;
     if as_json {
         output::print(serde_json::to_string_pretty(&acceptance)?)?;
     } else {
-        print(args, &acceptance)?;
+        print_acceptance(args, &acceptance)?;
     }
     Ok(if acceptance.passed { Outcome::Done } else { Outcome::NotMet })
 }
@@ -111,12 +111,12 @@ fn next_commands(args: &AcceptArgs, it: &AcceptanceResult) -> Vec<String> {
     let adjusted = args.out.join("adjusted.toml");
     match (it.adjusted_machine_file(), it.passed) {
         (Some(_), _) => commands::deploy_commands(&adjusted, &args.out),
-        (None, true) => vec![commands::save_command(&args.out)],
+        (None, true) => vec![commands::bridge_save_command(&args.out)],
         (None, false) => Vec::new(),
     }
 }
 
-fn print(args: &AcceptArgs, it: &AcceptanceResult) -> Result<()> {
+fn print_acceptance(args: &AcceptArgs, it: &AcceptanceResult) -> Result<()> {
     output::print(if it.passed { "passed" } else { "not passed" })?;
     output::print(format_args!(
         "{}, {} readings: {:.2} µm RMS without, {:.2} with: {:.1} % gone; largest {:.2} and {:.2} µm",

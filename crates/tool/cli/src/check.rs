@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile,
+    InputFileError, Machine, MachineFile, RunFile,
     check::{self, AxisSummary, Summary, Warning},
     preprocessing::preprocess_run,
     run_file::is_known_column,
@@ -58,14 +58,14 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
     for path in files {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
-            refused.extend(check::combine_refused(
+            refused.extend(check::combine_rejected_findings(
                 &check::range_findings(&machine),
                 &files::accepted_keys(),
             ));
             check_machine(path, &machine, as_json)?
         } else {
             let (run, mut reported) = preprocess_run(runs::read(path)?, adjacent.as_ref());
-            refused.extend(check::combine_refused(
+            refused.extend(check::combine_rejected_findings(
                 &check::column_findings(&run, adjacent.as_ref(), &[]),
                 &files::accepted_keys(),
             ));
@@ -75,8 +75,8 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
             (reported, summary)
         };
         // Said once, as an error.
-        let listed: Vec<BadInput> =
-            refused.iter().cloned().flat_map(BadInput::into_single_faults).collect();
+        let listed: Vec<InputFileError> =
+            refused.iter().cloned().flat_map(InputFileError::into_single_errors).collect();
         warnings.retain(|warning| listed.iter().all(|error| error.place != warning.place));
         caveats += warnings.len();
         if as_json {
@@ -99,7 +99,7 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
     if as_json {
         output::print(Value::from(messages))?;
     }
-    if let Some(refused) = BadInput::combine(refused) {
+    if let Some(refused) = InputFileError::combine(refused) {
         return Err(refused.into());
     }
     if !as_json {

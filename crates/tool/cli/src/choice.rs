@@ -14,17 +14,17 @@ pub fn by_name<T: Copy + Send + Sync + 'static, const N: usize>(
 pub fn named<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(T, &'static str); N],
 ) -> impl TypedValueParser<Value = T> {
-    parse_choice(all.map(|(value, name)| (value, PossibleValue::new(name))))
+    choice_parser(all.map(|(value, name)| (value, PossibleValue::new(name))))
 }
 
 /// Returns a parser that takes each value by its name; the third is what the help says of it.
 pub fn described<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(T, &'static str, &'static str); N],
 ) -> impl TypedValueParser<Value = T> {
-    parse_choice(all.map(|(value, name, help)| (value, PossibleValue::new(name).help(help))))
+    choice_parser(all.map(|(value, name, help)| (value, PossibleValue::new(name).help(help))))
 }
 
-fn parse_choice<T: Copy + Send + Sync + 'static, const N: usize>(
+fn choice_parser<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(T, PossibleValue); N],
 ) -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(all.clone().map(|(_, name)| name)).map(move |given| {

@@ -26,7 +26,7 @@ pub fn deploy_commands(machine: &Path, folder: &Path) -> Vec<String> {
 }
 
 /// Returns the line that keeps what a board holds.
-pub fn save_command(folder: &Path) -> String {
+pub fn bridge_save_command(folder: &Path) -> String {
     format!("trueup bridge save {} {PORT_PLACEHOLDER}", quote_path(&folder.join("board.json")))
 }
 

@@ -186,7 +186,7 @@ impl CommissioningTask {
 /// Goes on from step to step.
 pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     // Its product is the folder, and the board.
-    trueup_output::enable_best_effort();
+    trueup_output::enable_best_effort_output();
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parse_machine(&text, &args.machine)?;
     let subject = CommissioningTask::from_args(args, &machine)?;
@@ -207,7 +207,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     install_interrupt_handler()?;
     let journal = Journal::open(&args.out, &subject.name())?;
     let answers = AnswerSource::from_file(args.readings.as_deref())?;
-    let mut work = CommissioningRun { args, subject, machine, journal, answers, as_json };
+    let mut work = CommissioningSession { args, subject, machine, journal, answers, as_json };
     loop {
         let step = work.journal.next;
         if step == Step::Done {
@@ -232,7 +232,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     }
 }
 
-struct CommissioningRun<'a> {
+struct CommissioningSession<'a> {
     args: &'a CommissionArgs,
     subject: CommissioningTask,
     machine: Machine,
@@ -241,12 +241,12 @@ struct CommissioningRun<'a> {
     as_json: bool,
 }
 
-impl CommissioningRun<'_> {
+impl CommissioningSession<'_> {
     /// Does a step; the one after it, or `None`: it is not done.
     fn run_step(&mut self, step: Step) -> Result<Option<Step>> {
         let round = self.journal.round;
         let (believed, fitted) =
-            (self.round_file(round - 1, "toml"), self.round_file(round, "toml"));
+            (self.round_file_name(round - 1, "toml"), self.round_file_name(round, "toml"));
         Ok(match step {
             Step::Sign => self.run_sign_test()?.then_some(Step::Program),
             Step::Program => self.write_program()?.then_some(Step::Off),
@@ -264,7 +264,7 @@ impl CommissioningRun<'_> {
                 let run = self.path(&format!("off-{round}.csv"));
                 let mut words = vec![
                     "fit",
-                    self.fit_kind(),
+                    self.fit_subcommand_name(),
                     "--run",
                     &run,
                     "--machine",
@@ -278,7 +278,7 @@ impl CommissioningRun<'_> {
                 self.run_command(&words)?.then_some(Step::Load)
             }
             Step::Load => {
-                let blob = self.round_file(round, "bin");
+                let blob = self.round_file_name(round, "bin");
                 self.check_board_identity()?;
                 self.wait_until_disengaged()?;
                 let is_done = self.run_command(&["compile", &fitted, "-o", &blob])?
@@ -312,7 +312,7 @@ impl CommissioningRun<'_> {
     }
 
     /// Returns the machine file or calibration of a round; that of round 0 is the user's.
-    fn round_file(&self, round: u32, kind: &str) -> String {
+    fn round_file_name(&self, round: u32, kind: &str) -> String {
         self.path(&if round == 0 {
             format!("machine.{kind}")
         } else {
@@ -321,7 +321,7 @@ impl CommissioningRun<'_> {
     }
 
     /// Returns the kind of `fit` that makes its section.
-    fn fit_kind(&self) -> &'static str {
+    fn fit_subcommand_name(&self) -> &'static str {
         match (self.subject, self.machine.spindle.source) {
             (
                 CommissioningTask::Spindle,

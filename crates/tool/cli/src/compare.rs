@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use trueup_compare::{
-    compare::{Comparison, PositionDifference, compare_runs},
+    compare::{PositionDifference, RunComparison, compare_runs},
     page,
     thermal_expansion::remove_thermal_expansion,
 };
@@ -95,7 +95,7 @@ pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn print(it: &Comparison, limit_um: Option<f64>) -> Result<()> {
+fn print(it: &RunComparison, limit_um: Option<f64>) -> Result<()> {
     output::print(match (it.differs, it.cause) {
         (true, Some(cause)) => format!("they differ: {cause}"),
         (true, None) => "they differ".into(),

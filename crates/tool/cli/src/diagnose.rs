@@ -17,12 +17,12 @@ use trueup_diagnose::{
     diagnose_with_options,
 };
 use trueup_machine::{
-    BadInput, Machine, MachineFile,
+    InputFileError, Machine, MachineFile,
     compile::{check_slopes, compile},
     file::Quantity,
 };
 use trueup_output::escape::escape_line;
-use trueup_page::{Origin, format_micrometres, format_significant};
+use trueup_page::{Provenance, format_micrometres, format_significant};
 
 use crate::{
     Outcome,
@@ -105,12 +105,12 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let input = &args.input;
     let source = MachineFile::read_text(&input.machine)?;
     let machine =
-        with_instrument(files::parse_machine(&source, &input.machine)?, input.instrument_um);
+        with_instrument_um(files::parse_machine(&source, &input.machine)?, input.instrument_um);
     let mut runs = files::read_runs_lenient(&input.run_paths(), &machine)?;
     let holdout = runs.split_off(input.runs.len() + input.off.len());
     output::create_folder(&args.out)?;
 
-    let bar = progress_bar();
+    let bar = create_progress_bar();
     let options = DiagnosisOptions {
         quantity: input.quantity,
         matters_um: input.matters_um,
@@ -150,7 +150,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns a bar that shows itself once the search takes more than a moment.
-fn progress_bar() -> ProgressBar {
+fn create_progress_bar() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:30} {percent} % {msg}")
         .expect("the template is a constant");
     let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr_with_hz(4))
@@ -160,7 +160,7 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// Returns the machine with the instrument that is stated in the place of the machine file's.
-pub fn with_instrument(machine: Machine, instrument_um: Option<f64>) -> Machine {
+pub fn with_instrument_um(machine: Machine, instrument_um: Option<f64>) -> Machine {
     Machine { instrument_um: instrument_um.or(machine.instrument_um), ..machine }
 }
 
@@ -171,12 +171,12 @@ pub const RESIDUALS_FILE: &str = "residuals.csv";
 pub fn diagnosis_files(
     diagnosis: &Diagnosis,
     (source, path): (&str, &Path),
-    origin: &Origin,
+    origin: &Provenance,
     out: &Path,
 ) -> Result<Vec<(&'static str, String)>> {
     let extended = diagnosis.render_extended_toml(source, path)?;
     let believed = MachineFile::parse(source, path)?;
-    files::check_before_write(&extended, &out.join("extended.toml"), Some(&believed))?;
+    files::check_machine_before_write(&extended, &out.join("extended.toml"), Some(&believed))?;
     let html = diagnosis.render_html(&believed.name, origin, &next_commands(out, diagnosis));
     Ok(vec![
         ("diagnosis.json", diagnosis.to_json()? + "\n"),
@@ -194,7 +194,7 @@ fn warn_unsupported_on_board(
     let believed = MachineFile::parse(source, path)?;
     let target = folder.join("extended.toml");
     let written = MachineFile::parse(&diagnosis.render_extended_toml(source, path)?, &target)?;
-    if let Some(BadInput { rule, .. }) = compile_refusal(&believed, &written) {
+    if let Some(InputFileError { rule, .. }) = compile_refusal(&believed, &written) {
         report::warn(format_args!("trueup compile will refuse {}: {rule}", target.display()));
     }
     let lines = &diagnosis.report.missing_inputs;
@@ -209,7 +209,7 @@ fn warn_unsupported_on_board(
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
 /// `believed`. A machine file that it refuses already, as one without `[inputs]`, shows no more.
-fn compile_refusal(believed: &Machine, extended: &Machine) -> Option<BadInput> {
+fn compile_refusal(believed: &Machine, extended: &Machine) -> Option<InputFileError> {
     let too_steep = check_slopes(extended).err();
     too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))
 }
@@ -217,7 +217,7 @@ fn compile_refusal(believed: &Machine, extended: &Machine) -> Option<BadInput> {
 /// Prints `text` in red, where it is read on a screen.
 fn print_in_red(text: &str) -> Result<()> {
     let is_plain = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    if is_plain || !trueup_output::is_output_terminal() {
+    if is_plain || !trueup_output::is_stdout_terminal() {
         return output::print(text);
     }
     let mut out = trueup_output::StdoutWriter;

@@ -17,7 +17,7 @@ use trueup_client::{
 };
 use trueup_link::slcan::Event;
 
-use crate::{Outcome, VERSION, output};
+use crate::{Outcome, VERSION_WITH_COMMIT, output};
 
 /// Looks what this computer has: ports and the permission to open them, QEMU, LinuxCNC, tools that flash a board.
 ///
@@ -56,11 +56,11 @@ pub fn run(args: &DoctorArgs, as_json: bool) -> Result<Outcome> {
             .map(|(name, version, what)| json!({"name": name, "version": version, "for": what}))
             .collect();
         output::print(json!({
-            "version": VERSION, "programs": programs, "ports": ports_json(&ports),
+            "version": VERSION_WITH_COMMIT, "programs": programs, "ports": ports_json(&ports),
             "bridge": answer.as_ref().map(|answer| match answer { Ok(text) | Err(text) => text }),
         }))?;
     } else {
-        output::print(format_args!("trueup           {VERSION}"))?;
+        output::print(format_args!("trueup           {VERSION_WITH_COMMIT}"))?;
         for (name, version, what) in &programs {
             let version = version.clone().unwrap_or_else(|| format!("not here (for {what})"));
             output::print(format_args!("{name:<16} {version}"))?;

@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_export::{
-    ExportOptions, ExportReport, ExportedTable, Format, LengthUnit, OmittedSection, export,
+    ExportFormat, ExportOptions, ExportReport, ExportedTable, LengthUnit, OmittedSection, export,
     fanuc::Series,
 };
 
@@ -30,8 +30,8 @@ pub struct ExportArgs {
     #[command(flatten)]
     machine: MachineArg,
     /// The control that is to read the files.
-    #[arg(long, value_parser = described(FORMATS))]
-    format: Format,
+    #[arg(long, value_parser = described(EXPORT_FORMATS))]
+    format: ExportFormat,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names
     /// are replaced.
     #[arg(long, value_name = "DIR")]
@@ -65,12 +65,12 @@ pub struct ExportArgs {
     elongation_um: f64,
 }
 
-const FORMATS: [(Format, &str, &str); 5] = [
-    (Format::Siemens840d, "siemens-840d", "Siemens SINUMERIK 840D sl"),
-    (Format::Fanuc, "fanuc", "FANUC, stored pitch error compensation"),
-    (Format::Heidenhain, "heidenhain", "HEIDENHAIN, .COM and .CMA"),
-    (Format::LinuxCnc, "linuxcnc", "LinuxCNC, COMP_FILE"),
-    (Format::Isg, "isg", "TwinCAT CNC (ISG kernel), volumetric compensation"),
+const EXPORT_FORMATS: [(ExportFormat, &str, &str); 5] = [
+    (ExportFormat::Siemens840d, "siemens-840d", "Siemens SINUMERIK 840D sl"),
+    (ExportFormat::Fanuc, "fanuc", "FANUC, stored pitch error compensation"),
+    (ExportFormat::Heidenhain, "heidenhain", "HEIDENHAIN, .COM and .CMA"),
+    (ExportFormat::LinuxCnc, "linuxcnc", "LinuxCNC, COMP_FILE"),
+    (ExportFormat::Isg, "isg", "TwinCAT CNC (ISG kernel), volumetric compensation"),
 ];
 
 const LENGTH_UNITS: [(LengthUnit, &str, &str); 2] = [
@@ -128,11 +128,11 @@ fn parse_options(args: &ExportArgs) -> Result<ExportOptions, UserError> {
         return Err(UserError("--max-points must be at least 2: a table has two ends".to_string()));
     }
     for entry in &args.reference {
-        let (axis, value) = parse_axis_value("--reference", entry)?;
+        let (axis, value) = split_axis_assignment("--reference", entry)?;
         options.reference_mm[axis] = parse_number("--reference", value)?;
     }
     for entry in &args.travel {
-        let (axis, range) = parse_axis_value("--travel", entry)?;
+        let (axis, range) = split_axis_assignment("--travel", entry)?;
         let wrong =
             || UserError(format!("--travel {entry}: must be like x=0:1000, the smaller first"));
         let (first, last) = range.split_once(':').ok_or_else(wrong)?;
@@ -156,7 +156,7 @@ fn parse_temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, UserE
     each.collect()
 }
 
-fn parse_axis_value<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserError> {
+fn split_axis_assignment<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserError> {
     let named = entry.split_once('=').and_then(|(name, value)| {
         let axis = ["x", "y", "z"].iter().position(|axis| name.trim() == *axis)?;
         Some((axis, value))

@@ -8,7 +8,7 @@ use std::{
 };
 
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile, bounded_read,
+    InputFileError, Machine, MachineFile, RunFile, bounded_read,
     check::{self, ImplausibleValue, Plausibility, Summary},
     preprocessing::{preprocess_run, with_directions, without_fault_values},
 };
@@ -40,15 +40,15 @@ pub fn accepted_keys() -> Vec<String> {
 }
 
 /// Reads the machine file at `path`, and says in short what is unlikely in it.
-pub fn read_machine(path: &Path) -> Result<Machine, BadInput> {
+pub fn read_machine(path: &Path) -> Result<Machine, InputFileError> {
     parse_machine(&MachineFile::read_text(path)?, path)
 }
 
 /// Parses and checks the text of a machine file in the same way as [`read_machine`].
-pub fn parse_machine(source: &str, path: &Path) -> Result<Machine, BadInput> {
+pub fn parse_machine(source: &str, path: &Path) -> Result<Machine, InputFileError> {
     let machine = MachineFile::parse(source, path)?;
     if let Some(refused) =
-        check::combine_refused(&check::range_findings(&machine), &accepted_keys())
+        check::combine_rejected_findings(&check::range_findings(&machine), &accepted_keys())
     {
         return Err(refused);
     }
@@ -62,7 +62,7 @@ pub fn parse_machine(source: &str, path: &Path) -> Result<Machine, BadInput> {
 ///
 /// # Errors
 /// `text` is no machine file, or has an impossible value that is not accepted.
-pub fn check_before_write(
+pub fn check_machine_before_write(
     text: &str,
     path: &Path,
     before: Option<&Machine>,
@@ -74,17 +74,18 @@ pub fn check_before_write(
     };
     let found: Vec<ImplausibleValue> =
         check::range_findings(&machine).into_iter().filter(is_new).collect();
-    check_findings(&path.display().to_string(), &found)?;
+    check_implausible_values(&path.display().to_string(), &found)?;
     Ok(machine)
 }
 
 /// The same for values without a line of a file: of a calibration, or of a file that is not there yet.
-pub fn check_findings(name: &str, found: &[ImplausibleValue]) -> Result<(), UserError> {
-    if let Some(refused) = check::combine_refused(found, &accepted_keys()) {
-        let each = refused.into_single_faults().map(|BadInput { rule, help, .. }| match help {
-            Some(help) => format!("{rule}. {help}"),
-            None => rule,
-        });
+pub fn check_implausible_values(name: &str, found: &[ImplausibleValue]) -> Result<(), UserError> {
+    if let Some(refused) = check::combine_rejected_findings(found, &accepted_keys()) {
+        let each =
+            refused.into_single_errors().map(|InputFileError { rule, help, .. }| match help {
+                Some(help) => format!("{rule}. {help}"),
+                None => rule,
+            });
         let all = each.collect::<Vec<_>>().join("; ");
         return Err(UserError(format!("{name}: not written or used: {all}")));
     }
@@ -96,8 +97,8 @@ pub fn check_findings(name: &str, found: &[ImplausibleValue]) -> Result<(), User
 }
 
 /// Reads the run at `path`, and says in short what is unlikely in it, by itself and compared with `machine`.
-pub fn read_run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
-    validate_run(runs::read(path)?, machine)
+pub fn read_run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, InputFileError> {
+    prepare_run(runs::read(path)?, machine)
 }
 
 /// Reads run files for a command that finds constants from them: a column that is unlikely in the unit of its name,
@@ -105,12 +106,12 @@ pub fn read_run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadIn
 pub fn read_runs_for_fit(
     paths: &[PathBuf],
     machine: Option<&Machine>,
-) -> Result<Vec<RunFile>, BadInput> {
+) -> Result<Vec<RunFile>, InputFileError> {
     let read: Vec<RunFile> = paths.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?;
     for run in &read {
         reject_column_typos(&without_fault_values(run.clone()).0, machine, &read)?;
     }
-    read.into_iter().map(|run| validate_run(run, machine)).collect()
+    read.into_iter().map(|run| prepare_run(run, machine)).collect()
 }
 
 /// Says what is unlikely in `run`, and gives it without fault values of thermometers and with the directions
@@ -118,7 +119,7 @@ pub fn read_runs_for_fit(
 ///
 /// # Errors
 /// A column is impossible in the unit of its name, and not accepted.
-pub fn validate_run(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+pub fn prepare_run(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, InputFileError> {
     let run = with_tool_numbers(run, machine)?;
     let path = run.path().to_path_buf();
     let (run, reported) = preprocess_run(run, machine);
@@ -129,15 +130,15 @@ pub fn validate_run(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, 
     Ok(run)
 }
 
-fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, InputFileError> {
     match machine {
-        Some(machine) => run.with_machine_names(machine).with_tool_numbers(machine),
+        Some(machine) => run.with_machine_column_names(machine).with_tool_numbers(machine),
         None => Ok(run),
     }
 }
 
-fn reject_unit_errors(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    check::combine_refused(&check::column_findings(run, machine, &[]), &accepted_keys())
+fn reject_unit_errors(run: &RunFile, machine: Option<&Machine>) -> Result<(), InputFileError> {
+    check::combine_rejected_findings(&check::column_findings(run, machine, &[]), &accepted_keys())
         .map_or(Ok(()), Err)
 }
 
@@ -145,17 +146,20 @@ fn reject_column_typos(
     run: &RunFile,
     machine: Option<&Machine>,
     others: &[RunFile],
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let found = check::column_findings(run, machine, others).into_iter();
     let refused: Vec<ImplausibleValue> = found
         .map(|finding| ImplausibleValue { grade: Plausibility::Impossible, ..finding })
         .collect();
-    check::combine_refused(&refused, &accepted_keys()).map_or(Ok(()), Err)
+    check::combine_rejected_findings(&refused, &accepted_keys()).map_or(Ok(()), Err)
 }
 
 /// Reads run files as [`read_runs_for_fit`] does, for a command that looks after the names of the columns and the faults of
 /// thermometers itself.
-pub fn read_runs_lenient(paths: &[PathBuf], machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
+pub fn read_runs_lenient(
+    paths: &[PathBuf],
+    machine: &Machine,
+) -> Result<Vec<RunFile>, InputFileError> {
     prepare_runs_lenient(
         paths.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?,
         machine,
@@ -166,7 +170,7 @@ pub fn read_runs_lenient(paths: &[PathBuf], machine: &Machine) -> Result<Vec<Run
 pub fn prepare_runs_lenient(
     runs: Vec<RunFile>,
     machine: &Machine,
-) -> Result<Vec<RunFile>, BadInput> {
+) -> Result<Vec<RunFile>, InputFileError> {
     let named = |run: RunFile| {
         let path = run.path().to_path_buf();
         let (run, reported) =
@@ -174,7 +178,7 @@ pub fn prepare_runs_lenient(
         report::print_brief_warnings(&path, &reported);
         Ok(run)
     };
-    let runs: Vec<RunFile> = runs.into_iter().map(named).collect::<Result<_, BadInput>>()?;
+    let runs: Vec<RunFile> = runs.into_iter().map(named).collect::<Result<_, InputFileError>>()?;
     for run in &runs {
         let (sound, _) = without_fault_values(run.clone());
         reject_column_typos(&sound, Some(machine), &runs)?;

@@ -14,22 +14,22 @@ use std::{
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_fit::{
-    Report, elongation,
+    FitReport, elongation,
     partial_prediction::{ExcludedSection, PartialPrediction, predict_other_sections},
     pitch, straightness, straightness_report, thermal, warmup,
 };
 use trueup_machine::{
-    BadInput, Location, Machine, MachineFile, RunFile,
+    InputFileError, Location, Machine, MachineFile, RunFile,
     applied_offsets::{UncompensatedRun, require_unit_factor},
     compile::check_slopes,
     file::{LinearAxis, Quantity},
 };
 
-pub use args::Fit;
+pub use args::FitArgs;
 
 use self::args::{
-    Backlash, CommonArgs, Elongation, FitInputArgs, FitKind, Pitch, PositionArgs, StraightnessArgs,
-    Thermal, Warmup,
+    BacklashArgs, CommonArgs, ElongationArgs, FitInputArgs, FitKind, PitchArgs, PositionArgs,
+    StraightnessArgs, ThermalArgs, WarmupArgs,
 };
 use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
@@ -40,21 +40,21 @@ struct FitInput {
 }
 
 /// Fits what is requested.
-pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &FitArgs, as_json: bool) -> Result<Outcome> {
     let common = match &args.kind {
         FitKind::Table1(args) => return table1::run(args, as_json),
         FitKind::Circle(args) => return circle::run(args, as_json),
         FitKind::Volume(args) => return volume::run(args, as_json),
         FitKind::Straightness(StraightnessArgs { common, .. })
-        | FitKind::Pitch(Pitch { common, .. })
-        | FitKind::Backlash(Backlash { common, .. })
-        | FitKind::Elongation(Elongation { common, .. })
-        | FitKind::Warmup(Warmup { common })
-        | FitKind::Thermal(Thermal { common, .. }) => common,
+        | FitKind::Pitch(PitchArgs { common, .. })
+        | FitKind::Backlash(BacklashArgs { common, .. })
+        | FitKind::Elongation(ElongationArgs { common, .. })
+        | FitKind::Warmup(WarmupArgs { common })
+        | FitKind::Thermal(ThermalArgs { common, .. }) => common,
     };
     let input = FitInput::read(&common.measured)?;
     let bytes: u64 = common.measured.run.iter().map(|path| runs::file_size(path)).sum();
-    let spinner = spinner("fitting", bytes);
+    let spinner = create_spinner("fitting", bytes);
     let report = match &args.kind {
         FitKind::Table1(_) | FitKind::Circle(_) | FitKind::Volume(_) => {
             unreachable!("has returned")
@@ -89,7 +89,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns the machine file with its path and text.
-fn read_machine_source(path: &Path) -> Result<(PathBuf, String, Machine), BadInput> {
+fn read_machine_source(path: &Path) -> Result<(PathBuf, String, Machine), InputFileError> {
     let text = MachineFile::read_text(path)?;
     let machine = files::parse_machine(&text, path)?;
     Ok((path.to_owned(), text, machine))
@@ -133,10 +133,10 @@ impl FitInput {
         &self,
         run: &UncompensatedRun<'_>,
         without: ExcludedSection,
-    ) -> Result<Option<Vec<f64>>, BadInput> {
+    ) -> Result<Option<Vec<f64>>, InputFileError> {
         let Some(machine) = self.machine() else { return Ok(None) };
         let Some(known) = predict_other_sections(machine, run, without)? else { return Ok(None) };
-        if known.is_usable() {
+        if known.has_known_rows() {
             return Ok(Some(known.um));
         }
         let PartialPrediction { missing_columns, .. } = known;
@@ -153,7 +153,7 @@ impl FitInput {
     }
 }
 
-fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Report> {
+fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<FitReport> {
     let options =
         straightness::StraightnessFitOptions { method: args.method, ..args.curve.to_options() };
     let run = input.single_run()?;
@@ -171,13 +171,13 @@ fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Rep
     )?)
 }
 
-fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
+fn run_pitch_fit(input: &FitInput, args: &PitchArgs) -> Result<FitReport> {
     let of = |options| pitch::PitchFitOptions { ways: args.ways, step_mm: args.step_mm, ..options };
     let axis = measured_axis(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
         let options = |run: &UncompensatedRun<'_>| -> Result<pitch::PitchFitOptions> {
-            Ok(of(position_options(input, &args.positions, run, axis)?))
+            Ok(of(position_fit_options(input, &args.positions, run, axis)?))
         };
         return pitch::fit_both_drives(&input.runs, axis, &dual, options);
     }
@@ -185,7 +185,7 @@ fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
     Ok(pitch::fit(run, axis, &of(options))?.report)
 }
 
-fn run_backlash_fit(input: &FitInput, args: &Backlash) -> Result<Report> {
+fn run_backlash_fit(input: &FitInput, args: &BacklashArgs) -> Result<FitReport> {
     let (run, axis, options) = position_fit_inputs(input, &args.positions)?;
     let options = pitch::PitchFitOptions { feed_mm_per_min: args.feed, ..options };
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
@@ -197,7 +197,7 @@ fn write_iso230_page(
     common: &CommonArgs,
     what: &str,
     args: &PositionArgs,
-    report: &Report,
+    report: &FitReport,
 ) -> Result<()> {
     // Two drives of an axis have a run each.
     if output::is_standard_output(&common.output) || input.runs.len() != 1 {
@@ -225,11 +225,11 @@ fn position_fit_inputs<'a>(
 ) -> Result<(&'a UncompensatedRun<'a>, LinearAxis, pitch::PitchFitOptions)> {
     let run = input.single_run()?;
     let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
-    Ok((run, axis, position_options(input, args, run, axis)?))
+    Ok((run, axis, position_fit_options(input, args, run, axis)?))
 }
 
 /// Returns the options of a fit of positions, of one run.
-fn position_options(
+fn position_fit_options(
     input: &FitInput,
     args: &PositionArgs,
     run: &UncompensatedRun<'_>,
@@ -244,7 +244,7 @@ fn position_options(
     })
 }
 
-fn run_thermal_fit(input: &FitInput, args: &Thermal) -> Result<Report> {
+fn run_thermal_fit(input: &FitInput, args: &ThermalArgs) -> Result<FitReport> {
     let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
@@ -266,12 +266,12 @@ fn run_thermal_fit(input: &FitInput, args: &Thermal) -> Result<Report> {
 fn measured_axis(
     runs: &[UncompensatedRun<'_>],
     quantity: Option<&str>,
-) -> Result<LinearAxis, BadInput> {
+) -> Result<LinearAxis, InputFileError> {
     let start = || Location::start_of_file(runs[0].path());
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
         let rule = format!("--quantity must be dx or dy or dz, not {quantity:?}");
-        return axis.ok_or_else(|| BadInput::new(start(), rule));
+        return axis.ok_or_else(|| InputFileError::new(start(), rule));
     }
     let measured: Vec<LinearAxis> = LinearAxis::ALL
         .into_iter()
@@ -287,12 +287,12 @@ fn measured_axis(
                 "the run measures {}: choose one with --axis or --quantity",
                 names.join(", ")
             );
-            Err(BadInput::new(start(), rule))
+            Err(InputFileError::new(start(), rule))
         }
     }
 }
 
-fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &Report) -> Result<bool> {
+fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &FitReport) -> Result<bool> {
     if report.edit.is_empty() || !report.verdict.is_fitted() {
         return Ok(false);
     }
@@ -312,18 +312,22 @@ fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &Report) ->
 fn check_output_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()> {
     const MINIMAL_MACHINE_HEADER: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
     let machine = match machine {
-        Some(before) => files::check_before_write(text, path, Some(before))?,
-        None => files::check_before_write(&format!("{MINIMAL_MACHINE_HEADER}{text}"), path, None)?,
+        Some(before) => files::check_machine_before_write(text, path, Some(before))?,
+        None => files::check_machine_before_write(
+            &format!("{MINIMAL_MACHINE_HEADER}{text}"),
+            path,
+            None,
+        )?,
     };
-    if let Err(BadInput { rule, .. }) = check_slopes(&machine) {
+    if let Err(InputFileError { rule, .. }) = check_slopes(&machine) {
         crate::report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
     }
     Ok(())
 }
 
 /// Returns a spinner with the time that has passed, if there is a terminal: a fit does not know how far it is.
-fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < runs::PROGRESS_BAR_MIN_BYTES / 8 || !trueup_output::is_error_terminal() {
+fn create_spinner(what: &'static str, bytes: u64) -> ProgressBar {
+    if bytes < runs::PROGRESS_BAR_MIN_BYTES / 8 || !trueup_output::is_stderr_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");

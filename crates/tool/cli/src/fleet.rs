@@ -109,7 +109,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
 
 fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
     let submission = job::read_submission(&args.input, args.name.as_deref(), args.date)?;
-    let submitted = match args.place.create()? {
+    let submitted = match args.place.create_backend()? {
         FleetBackend::Folder(store) => submission.submit(&store),
         FleetBackend::Server(remote) => remote.submit(&submission),
     };
@@ -137,7 +137,7 @@ fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
 }
 
 fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
-    let opened = args.place.open()?;
+    let opened = args.place.open_backend()?;
     let options = WorkerOptions {
         threads: usize::from(args.threads),
         lease: Duration::from_secs_f64(args.lease_s),
@@ -169,7 +169,7 @@ fn print_failed_jobs(failed: &[JobStatus]) -> Result<()> {
 }
 
 fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
-    let opened = args.place.open()?;
+    let opened = args.place.open_backend()?;
     let status = opened.status()?;
     if as_json {
         output::print(serde_json::to_string_pretty(&status)?)?;
@@ -203,7 +203,7 @@ fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
 }
 
 fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
-    let (store, mut notes) = match args.place.open()? {
+    let (store, mut notes) = match args.place.open_backend()? {
         FleetBackend::Folder(store) => (store, Vec::new()),
         FleetBackend::Server(remote) => {
             let store = FleetStore::create(&args.out.join("copy"))?;
@@ -218,7 +218,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     notes.extend(damaged);
     let (mut records, mut ids) = (Vec::new(), Vec::new());
     for stored in &whole {
-        match job::build_record(&store, stored) {
+        match job::build_machine_record(&store, stored) {
             Ok(record) => {
                 records.push(record);
                 ids.push(stored.done.id.as_str());

@@ -23,7 +23,7 @@ use trueup_gateway::{
     health::{self, PlcStatus, SharedPlcStatus},
     journal::JournalLimiter,
     modbus, rtu,
-    s7::{self, BlockAddress, client::CpuAddress},
+    s7::{self, BlockExchangeSettings, client::CpuAddress},
 };
 
 use trueup_machine::compile;
@@ -135,7 +135,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let (Command::Modbus { bridge, .. } | Command::S7 { bridge, .. }) = command;
-    let pinned = pinned_calibration(bridge)?;
+    let pinned = pinned_calibration_from_args(bridge)?;
     trueup_output::enable_background_output();
     if let Some(why) = pinned.refusal() {
         trueup_output::write_diagnostic(format_args!("warning: {why}"));
@@ -149,19 +149,19 @@ pub fn run(command: &Command) -> Result<Outcome> {
                 Parity::None => serialport::Parity::None,
             };
             let line = rtu::SerialSettings { device: device.clone(), baud: *baud, parity };
-            run_rtu(&shared, bridge, line, *unit)
+            run_modbus_rtu(&shared, bridge, line, *unit)
         }
         Command::Modbus { bridge, listen, unit, .. } => {
-            run_modbus(&shared, bridge, &resolve_listen_addresses("--listen", listen)?, *unit)
+            run_modbus_tcp(&shared, bridge, &resolve_listen_addresses("--listen", listen)?, *unit)
         }
         Command::S7 { bridge, plc, db, rack, slot, mode, rate } => {
             let place = CpuAddress { address: plc.clone(), rack: *rack, slot: *slot };
             let period = Duration::from_secs(1) / *rate;
             let mode = match mode {
-                OutputMode::Offsets => s7::Mode::Offsets,
-                OutputMode::Slope => s7::Mode::Slope,
+                OutputMode::Offsets => s7::InputBlockContent::Offsets,
+                OutputMode::Slope => s7::InputBlockContent::Slope,
             };
-            run_s7(&shared, bridge, &BlockAddress { place, db: *db, period, mode })
+            run_s7(&shared, bridge, &BlockExchangeSettings { place, db: *db, period, mode })
         }
     };
     stop.store(true, Ordering::Relaxed);
@@ -169,7 +169,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
 }
 
 /// On which calibration the bridge has to run to be engaged.
-fn pinned_calibration(bridge: &BridgeArgs) -> Result<PinnedCalibration> {
+fn pinned_calibration_from_args(bridge: &BridgeArgs) -> Result<PinnedCalibration> {
     let state = || {
         bridge
             .state
@@ -197,7 +197,7 @@ fn start_bridge_thread(shared: &SharedHub, bridge: &BridgeArgs) -> Result<thread
     Ok(bridge::spawn_bridge_thread(shared.clone(), move || port.open()))
 }
 
-fn run_modbus(
+fn run_modbus_tcp(
     shared: &SharedHub,
     bridge: &BridgeArgs,
     listen: &[SocketAddr],
@@ -233,7 +233,7 @@ fn run_modbus(
     report_status(shared, bridge, &line, end, end)
 }
 
-fn run_rtu(
+fn run_modbus_rtu(
     shared: &SharedHub,
     bridge: &BridgeArgs,
     line: rtu::SerialSettings,
@@ -256,7 +256,11 @@ fn run_rtu(
     Ok(outcome)
 }
 
-fn run_s7(shared: &SharedHub, bridge: &BridgeArgs, target: &BlockAddress) -> Result<Outcome> {
+fn run_s7(
+    shared: &SharedHub,
+    bridge: &BridgeArgs,
+    target: &BlockExchangeSettings,
+) -> Result<Outcome> {
     let line = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let is_receiving = wait_for_bridge(shared);
@@ -299,7 +303,8 @@ fn report_status(
     while !shared.is_stop_requested() && !line.is_finished() {
         // Not with the hub held: the reader of the messages may be slow.
         let messages = shared.lock_hub().take_messages();
-        let allowed = messages.iter().filter(|message| journal.is_allowed(shared.now(), message));
+        let allowed =
+            messages.iter().filter(|message| journal.admit_message(shared.now(), message));
         allowed.for_each(trueup_output::write_diagnostic);
         let now = shared.now();
         if journal.is_due(now, &health::build_status_line(shared, &look())) {

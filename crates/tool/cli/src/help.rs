@@ -23,7 +23,7 @@ const SHORT_OPTIONS: &[(&str, char)] = &[
 
 /// By the words of a command, what its help ends with: lines that run in a folder of `trueup examples`, in the order of the
 /// groups. A command that is not here has its own.
-const EXAMPLES: &[(&str, &str)] = &[
+const COMMAND_EXAMPLES: &[(&str, &str)] = &[
     ("compile", "trueup compile mill/mill.toml -o mill.bin"),
     (
         "compare",
@@ -149,7 +149,7 @@ const EXAMPLES: &[(&str, &str)] = &[
 /// Returns the lines that are examples.
 #[cfg(test)]
 pub fn lines() -> impl Iterator<Item = &'static str> {
-    EXAMPLES.iter().flat_map(|(_, lines)| lines.lines().map(str::trim))
+    COMMAND_EXAMPLES.iter().flat_map(|(_, lines)| lines.lines().map(str::trim))
 }
 
 /// The commands by what they are for, in the order of the work.
@@ -177,16 +177,16 @@ const COMMAND_GROUPS: &[(&str, &[&str])] = &[
 const OTHER_GROUP_HEADING: &str = "More";
 
 /// Returns the tool with its examples and short forms, its commands in groups.
-pub fn with_examples(tool: Command) -> Command {
+pub fn with_extended_help(tool: Command) -> Command {
     let tool = with_help_examples(tool, "");
-    let groups = grouped_commands(&tool);
+    let groups = grouped_commands_text(&tool);
     tool.help_template(format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options of every command:\n{{options}}{{after-help}}\n"
     ))
 }
 
 /// Returns the commands with their first sentence, by groups.
-fn grouped_commands(tool: &Command) -> String {
+fn grouped_commands_text(tool: &Command) -> String {
     let line = |command: &Command| {
         let about = command.get_about().map(ToString::to_string).unwrap_or_default();
         let about = about.lines().next().unwrap_or_default();
@@ -211,7 +211,7 @@ fn with_help_examples(command: Command, path: &str) -> Command {
     let shorts: Vec<_> =
         command.get_arguments().filter_map(|argument| short_option(&command, argument)).collect();
     let command = command.mut_args(|option| with_short_option(option, &shorts));
-    let example = EXAMPLES.iter().find(|(name, _)| *name == path);
+    let example = COMMAND_EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
         Some((_, line)) if command.get_after_help().is_none() => {
             command.after_help(format!("Example:\n  {line}"))
@@ -256,7 +256,7 @@ mod tests {
 
     #[test]
     fn every_command_is_in_a_group_of_the_help() {
-        let tool = with_examples(Cli::command());
+        let tool = with_extended_help(Cli::command());
         let help = tool.clone().render_help().to_string();
         for command in tool.get_subcommands() {
             let name = command.get_name();
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_letter_means_the_same_in_every_command() {
-        let tool = with_examples(Cli::command());
+        let tool = with_extended_help(Cli::command());
         // No letter stands twice in a command.
         tool.clone().debug_assert();
         let mut counted = 0;

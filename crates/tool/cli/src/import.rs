@@ -11,9 +11,10 @@ use clap::Args;
 use dialoguer::{Input, Select};
 use serde_json::json;
 use trueup_import::{
-    Answers, Circle, ImportError, ImportedRun, MAX_FILE_BYTES, Question, Topic, header_map, import,
+    Answers, Circle, ImportError, ImportedRun, MAX_FILE_BYTES, Question, QuestionTopic, header_map,
+    import,
 };
-use trueup_machine::{BadInput, MachineFile, bounded_read};
+use trueup_machine::{InputFileError, MachineFile, bounded_read};
 use trueup_output::escape::{escape_line, shell_quote};
 
 use crate::{
@@ -121,7 +122,7 @@ fn parse_centre(text: &str) -> Result<[f64; 2], String> {
 
 /// Imports the table.
 pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
-    let requests = !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
+    let requests = !as_json && stdin().is_terminal() && trueup_output::is_stdout_terminal();
     output::check_output_path(&args.output, &[&args.file])?;
     if requests && !args.overwrite && args.output.is_file() {
         return Err(already_exists_error(&args.output).into());
@@ -166,24 +167,26 @@ fn answers_from_flags(args: &ImportArgs) -> Result<Answers> {
         circle: args.circle.to_circle(),
         ..Answers::default()
     };
-    let mut flag = |name: &str, topic: Topic, value: &str| {
+    let mut flag = |name: &str, topic: QuestionTopic, value: &str| {
         answers
             .record_answer(&topic, value)
             .map_err(|rule| UserError(format!("--{name} {value}: {rule}")))
     };
     let given = [
-        ("decimal", Topic::Decimal, &args.decimal),
-        ("date", Topic::Date, &args.date),
-        ("counts-per-v", Topic::CountsPerV, &args.counts_per_v),
-        ("summer-time", Topic::SummerTime, &args.summer_time),
-        ("runs", Topic::Runs, &args.runs),
+        ("decimal", QuestionTopic::Decimal, &args.decimal),
+        ("date", QuestionTopic::Date, &args.date),
+        ("counts-per-v", QuestionTopic::CountsPerV, &args.counts_per_v),
+        ("summer-time", QuestionTopic::SummerTime, &args.summer_time),
+        ("runs", QuestionTopic::Runs, &args.runs),
     ];
     for (name, topic, value) in given {
         value.as_ref().map_or(Ok(()), |value| flag(name, topic, value))?;
     }
-    type TopicConstructor = fn(String) -> Topic;
-    let columns: [(&str, &Vec<String>, TopicConstructor); 2] =
-        [("unit", &args.unit, Topic::Unit), ("column", &args.column, Topic::Column)];
+    type TopicConstructor = fn(String) -> QuestionTopic;
+    let columns: [(&str, &Vec<String>, TopicConstructor); 2] = [
+        ("unit", &args.unit, QuestionTopic::Unit),
+        ("column", &args.column, QuestionTopic::Column),
+    ];
     for (name, pairs, topic) in columns {
         for pair in pairs {
             let (column, value) = pair.rsplit_once('=').ok_or_else(|| {
@@ -207,7 +210,7 @@ fn answers_from_flags(args: &ImportArgs) -> Result<Answers> {
 fn prompt_for_answer(question: &Question) -> Result<String> {
     const OTHER_CHOICE: &str = "another one";
     let prompt = format!("line {}: {}", question.place.line, escape_line(&question.text));
-    let is_column = matches!(question.topic, Topic::Column(_));
+    let is_column = matches!(question.topic, QuestionTopic::Column(_));
     let mut items: Vec<String> =
         question.choices.iter().map(|choice| escape_line(choice)).collect();
     if is_column && !question.choices.iter().any(|choice| choice == "-") {
@@ -226,8 +229,8 @@ fn prompt_for_answer(question: &Question) -> Result<String> {
         }
     }
     let prompt = match question.topic {
-        Topic::CountsPerV => format!("{prompt}. Counts for one volt"),
-        Topic::Column(_) => "Name in the run file".into(),
+        QuestionTopic::CountsPerV => format!("{prompt}. Counts for one volt"),
+        QuestionTopic::Column(_) => "Name in the run file".into(),
         _ => "Unit".into(),
     };
     let topic = question.topic.clone();
@@ -236,7 +239,7 @@ fn prompt_for_answer(question: &Question) -> Result<String> {
 }
 
 /// Returns an error of the table on one line, with what to do.
-fn table_error(error: BadInput, as_json: bool) -> Error {
+fn table_error(error: InputFileError, as_json: bool) -> Error {
     if as_json {
         return error.into();
     }
@@ -251,14 +254,14 @@ fn table_error(error: BadInput, as_json: bool) -> Error {
 
 /// Returns the open questions, each on a line with its flag, at most three lines.
 fn open_questions_error(questions: Vec<Question>, as_json: bool) -> Error {
-    const MAX_LINES: usize = 3;
-    let more = questions.len().saturating_sub(MAX_LINES);
-    let shown = if more > 0 { MAX_LINES - 1 } else { questions.len() };
+    const MAX_ERROR_LINES: usize = 3;
+    let more = questions.len().saturating_sub(MAX_ERROR_LINES);
+    let shown = if more > 0 { MAX_ERROR_LINES - 1 } else { questions.len() };
     let flags: Vec<String> = questions[shown..].iter().map(Question::flag).collect();
-    let mut errors: Vec<BadInput> =
+    let mut errors: Vec<InputFileError> =
         questions.into_iter().take(shown).map(Question::into_error).collect();
     if as_json {
-        return BadInput::combine(errors)
+        return InputFileError::combine(errors)
             .map_or_else(|| UserError(String::new()).into(), Error::from);
     }
     let last = match flags.is_empty() {

@@ -13,8 +13,8 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_learn::{
-    DailyChange, LearnableConstant, LearnerState, LearningResult, Limits, LiveUpdate,
-    MachineIdentity, learn, live_update,
+    DailyChange, LearnableConstant, LearnerState, LearningLimits, LearningResult, LiveUpdate,
+    MachineIdentity, learn_from_run, live_update,
 };
 use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
 
@@ -61,13 +61,13 @@ pub struct LearnArgs {
     #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
     quantity: Option<Quantity>,
     /// No constant changes by more than this much of itself, in percent.
-    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = parse_positive)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * LearningLimits::default().share, value_parser = parse_positive)]
     limit_percent: f64,
     /// Together they change the correction nowhere by more, in µm.
-    #[arg(long, value_name = "UM", default_value_t = Limits::default().total_um, value_parser = parse_positive)]
+    #[arg(long, value_name = "UM", default_value_t = LearningLimits::default().total_um, value_parser = parse_positive)]
     limit_um: f64,
     /// One reading changes it by no more, in µm.
-    #[arg(long, value_name = "UM", default_value_t = Limits::default().step_um, value_parser = parse_positive)]
+    #[arg(long, value_name = "UM", default_value_t = LearningLimits::default().step_um, value_parser = parse_positive)]
     step_um: f64,
     /// Takes the last day's change back.
     #[arg(long, conflicts_with = "run")]
@@ -103,14 +103,14 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
     let machine = files::parse_machine(&source, &args.machine)?;
     check_output_machine(&args.output, &machine)?;
     let (mut memory, mut is_backup_due) =
-        if args.reset { (None, known.exists()) } else { load_state(&known)? };
+        if args.reset { (None, known.exists()) } else { load_learner_state(&known)? };
     if args.undo {
         return undo(args, &source, &known, memory);
     }
     if args.reading_um.is_some() && args.run.len() > 1 {
         return Err(UserError("--reading-um: give one --run, that of this moment".into()).into());
     }
-    let limits = Limits {
+    let limits = LearningLimits {
         share: args.limit_percent / 100.0,
         total_um: args.limit_um,
         step_um: args.step_um,
@@ -127,19 +127,21 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
                     um,
                     SystemTime::now(),
                 )?;
-                files::validate_run(run, Some(&machine))?
+                files::prepare_run(run, Some(&machine))?
             }
             None => read_run(path, &machine)?,
         };
-        let learned = learn(&source, &args.machine, &run, args.quantity, memory.take(), &limits)?;
+        let learned =
+            learn_from_run(&source, &args.machine, &run, args.quantity, memory.take(), &limits)?;
         memory = Some(learned.memory.clone());
         is_backup_due |= learned.has_restarted;
-        let new = files::check_before_write(&learned.machine, &args.output, Some(&machine))?;
+        let new =
+            files::check_machine_before_write(&learned.machine, &args.output, Some(&machine))?;
         all.push((path, learned, new));
     }
     if let Some((_, last, _)) = all.last() {
         if is_backup_due {
-            let backup = back_up(&known)?;
+            let backup = back_up_state(&known)?;
             report::warn(format_args!("{}: what was known until now", backup.display()));
         }
         save_outputs(args, &inputs, &known, &last.machine, &last.memory)?;
@@ -170,7 +172,7 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
 fn read_run(path: &Path, machine: &Machine) -> Result<RunFile> {
     if path == Path::new("-") {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
-        return Ok(files::validate_run(run, Some(machine))?);
+        return Ok(files::prepare_run(run, Some(machine))?);
     }
     let mut read = files::read_runs_for_fit(&[path.to_path_buf()], Some(machine))?;
     read.pop().context("one run file is one run")
@@ -195,7 +197,7 @@ fn check_output_machine(output: &Path, machine: &Machine) -> Result<()> {
 }
 
 /// Returns what is known from before, `None` where there is no such file yet, and whether it is of an older form.
-fn load_state(path: &Path) -> Result<(Option<LearnerState>, bool)> {
+fn load_learner_state(path: &Path) -> Result<(Option<LearnerState>, bool)> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
         return Ok((None, false));
@@ -208,7 +210,7 @@ fn load_state(path: &Path) -> Result<(Option<LearnerState>, bool)> {
 }
 
 /// Copies the state to the first backup that is not there yet.
-fn back_up(known: &Path) -> Result<PathBuf> {
+fn back_up_state(known: &Path) -> Result<PathBuf> {
     let named = |number: usize| {
         let end = if number == 0 { "bak".into() } else { format!("bak{number}") };
         let mut name = known.as_os_str().to_os_string();
@@ -244,8 +246,8 @@ fn undo(
 ) -> Result<Outcome> {
     let bad = |rule: &str| UserError(format!("{}: {rule}", known.display()));
     let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
-    let undone = memory.undo().map_err(|rule| bad(&rule))?;
-    let machine = memory.apply_to_file(source, &args.machine).ok_or_else(|| {
+    let undone = memory.undo_last_change().map_err(|rule| bad(&rule))?;
+    let machine = memory.apply_to_source(source, &args.machine).ok_or_else(|| {
         bad("was learned with another machine file, or with an earlier version of this one")
     })?;
     save_outputs(args, &[&args.machine], known, &machine, &memory)?;
@@ -257,7 +259,7 @@ fn undo(
 
 fn current_constants(learned: &LearningResult) -> Vec<LearnedConstant<'_>> {
     let memory = &learned.memory;
-    let values = memory.values().into_iter().zip(&learned.half_widths);
+    let values = memory.applied_constant_values().into_iter().zip(&learned.half_widths);
     memory
         .constants
         .iter()

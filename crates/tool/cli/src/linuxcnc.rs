@@ -28,14 +28,14 @@ use trueup_linuxcnc::{
     RecordFile,
     component::TEMPERATURE_COUNT,
     configuration::{OffsetEntryPoint, ini_lines::IniLines},
-    ini::Ini,
+    ini::IniSettings,
     joint::MAX_JOINTS,
     offsets,
-    run::{self, LearnedUpdate, Settings},
+    run::{self, HalComponentSettings, LearnedUpdate},
 };
 use trueup_machine::{
     Machine, MachineFile, bounded_read, compile,
-    file::{LinearAxis, MAX_FILE_BYTES},
+    file::{LinearAxis, MAX_MACHINE_FILE_BYTES},
     model::max_over_compensation_um,
 };
 use trueup_output::{escape::escape_line, queue::LineQueue};
@@ -63,7 +63,7 @@ pub struct LinuxCncArgs {
     #[arg(long, value_name = "PORT", required = true)]
     port: Option<String>,
     /// Where offsets enter: as external offsets of the axes, or between the joints and their drives.
-    #[arg(long, default_value = "eoffset", value_parser = described(configure::OFFSET_ENTRIES))]
+    #[arg(long, default_value = "eoffset", value_parser = described(configure::OFFSET_ENTRY_POINTS))]
     by: OffsetEntryPoint,
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
@@ -130,9 +130,9 @@ fn parse_positive(text: &str) -> Result<f64, String> {
 }
 
 /// Where the component reports what happens: standard error, and a file. Neither delays the servo cycle.
-struct Log(Option<LineQueue>);
+struct ComponentLog(Option<LineQueue>);
 
-impl Log {
+impl ComponentLog {
     fn open(path: Option<&Path>) -> Result<Self> {
         let append = |path: &Path| {
             let file = OpenOptions::new().append(true).create(true).open(path);
@@ -163,7 +163,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         return configure::run(command, as_json);
     }
     trueup_output::enable_background_output();
-    let log = Log::open(args.log.as_deref())?;
+    let log = ComponentLog::open(args.log.as_deref())?;
     let port = Port::parse(args.port.as_deref().unwrap_or_default())?;
     let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
@@ -210,19 +210,20 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
             log.write(
                 "no .ini: assuming a servo cycle of 1 ms, millimetres, and slow changes of the offsets",
             );
-            Ini::default()
+            IniSettings::default()
         }
     };
     let joints = match args.by {
         OffsetEntryPoint::Eoffset => [None; MAX_JOINTS],
         OffsetEntryPoint::Joint => {
-            for beyond in configure::limit_violations(args.ini.as_deref(), machine.as_ref())? {
+            for beyond in configure::joint_limit_violations(args.ini.as_deref(), machine.as_ref())?
+            {
                 log.write(&beyond);
             }
             configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?
         }
     };
-    let settings = Settings {
+    let settings = HalComponentSettings {
         name: args.name.clone(),
         mm_per_unit: ini.mm_per_unit,
         temperatures: args.temperatures,
@@ -261,7 +262,8 @@ fn watch_learned_file(path: PathBuf, machine: Machine) -> Receiver<LearnedUpdate
     std::thread::spawn(move || {
         let mut before = None;
         loop {
-            let now = bounded_read::read_text(&path, MAX_FILE_BYTES).map_err(|error| error.rule);
+            let now =
+                bounded_read::read_text(&path, MAX_MACHINE_FILE_BYTES).map_err(|error| error.rule);
             if before.as_ref() != Some(&now) {
                 if sender.send(evaluate_learned_file(&machine, &path, &now)).is_err() {
                     return;
@@ -310,9 +312,9 @@ fn um_to_nm(um: f64) -> i32 {
 }
 
 /// Reads the INI file with what it includes.
-fn read_ini(path: &Path) -> Result<Ini> {
+fn read_ini(path: &Path) -> Result<IniSettings> {
     let lines = IniLines::read(path).map_err(|error| UserError(error.to_string()))?;
-    Ok(Ini::parse(&lines.to_text()).map_err(|error| {
+    Ok(IniSettings::parse(&lines.to_text()).map_err(|error| {
         let place = lines.line_location(error.place.0, error.place.1);
         UserError(format!("{place}: {}", error.rule))
     })?)

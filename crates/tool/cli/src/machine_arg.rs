@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn every_command_takes_the_machine_file_with_and_without_its_option() {
-        let tool = help::with_examples(Cli::command());
+        let tool = help::with_extended_help(Cli::command());
         let mut commands = Vec::new();
         with_machine(&tool, "", &mut commands);
         assert!(commands.len() > 20, "{commands:?}");
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn only_a_free_word_becomes_the_machine_file() {
-        let tool = help::with_examples(Cli::command());
+        let tool = help::with_extended_help(Cli::command());
         for (line, expected) in [
             ("trueup program m.toml pitch", "trueup program --machine m.toml pitch"),
             (

@@ -61,20 +61,21 @@ use std::{env, ffi::OsString, path::PathBuf, process::ExitCode};
 use anyhow::Result;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use trueup_client::UnusableInput;
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 use trueup_output::escape::needs_escaping;
 
 use report::Verbosity;
 
 /// The version and the commit that this tool was built from.
-const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
+const VERSION_WITH_COMMIT: &str =
+    concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
 
 /// The heading of the options that every command has.
 const GLOBAL_OPTIONS_HEADING: &str = "Options of every command";
 
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
-#[command(name = "trueup", version = VERSION, propagate_version = true)]
+#[command(name = "trueup", version = VERSION_WITH_COMMIT, propagate_version = true)]
 struct Cli {
     /// Print JSON instead of text.
     #[arg(long, global = true, help_heading = GLOBAL_OPTIONS_HEADING)]
@@ -98,7 +99,7 @@ impl Cli {
     fn parse_command_line(
         words: impl IntoIterator<Item: Into<OsString> + Clone>,
     ) -> Result<Self, clap::Error> {
-        let tool = help::with_examples(Self::command());
+        let tool = help::with_extended_help(Self::command());
         let words = words.into_iter().map(Into::into).collect();
         let words = machine_arg::with_machine_option(&tool, words);
         Self::from_arg_matches(&tool.try_get_matches_from(words)?)
@@ -117,7 +118,7 @@ enum Command {
     Diagnose(diagnose::DiagnoseArgs),
     Doctor(doctor::DoctorArgs),
     Export(export::ExportArgs),
-    Fit(fit::Fit),
+    Fit(fit::FitArgs),
     /// Many machines: jobs in a folder, workers that do them, and what the results say of a series.
     Fleet {
         #[command(subcommand)]
@@ -169,7 +170,7 @@ enum Outcome {
     NotMet,
 }
 
-/// An error that the user has to mend and that has no line and column, as `BadInput` has: of a blob, a folder.
+/// An error that the user has to mend and that has no line and column, as `InputFileError` has: of a blob, a folder.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct UserError(String);
@@ -181,7 +182,7 @@ fn main() -> ExitCode {
     };
     report::set_verbosity(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     files::set_accepted_keys(&cli.accept);
-    let code = exit_code(run(&cli));
+    let code = report_outcome(run(&cli));
     trueup_output::flush_queues();
     code
 }
@@ -191,8 +192,8 @@ fn print_usage(error: &clap::Error) -> ExitCode {
     let text = error.render();
     let is_help = !error.use_stderr();
     let is_terminal = match is_help {
-        true => trueup_output::is_output_terminal(),
-        false => trueup_output::is_error_terminal(),
+        true => trueup_output::is_stdout_terminal(),
+        false => trueup_output::is_stderr_terminal(),
     };
     // A terminal gets clap's colours, unless the command line could bring some of its own.
     let is_plain = !text.to_string().chars().any(|c| c != '\n' && needs_escaping(c));
@@ -215,11 +216,11 @@ fn print_usage(error: &clap::Error) -> ExitCode {
 }
 
 /// Reports why a command has failed, and gives its exit status.
-fn exit_code(ended: Result<Outcome>) -> ExitCode {
+fn report_outcome(ended: Result<Outcome>) -> ExitCode {
     match ended {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
-        Err(error) => match error.downcast::<BadInput>() {
+        Err(error) => match error.downcast::<InputFileError>() {
             Ok(error) => {
                 report::report_bad_input(error);
                 ExitCode::from(2)
@@ -266,10 +267,10 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Firmware(args) => firmware::run(args, cli.json),
         Command::Examples(args) => examples::run(args, cli.json),
         Command::Completions(args) => {
-            manual::print_completions(args, help::with_examples(Cli::command()))
+            manual::print_completions(args, help::with_extended_help(Cli::command()))
         }
         Command::Man(args) => {
-            manual::write_man_pages(args, help::with_examples(Cli::command()), cli.json)
+            manual::write_man_pages(args, help::with_extended_help(Cli::command()), cli.json)
         }
         Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
@@ -293,7 +294,7 @@ mod tests {
     #[test]
     fn every_help_ends_with_an_example() {
         let mut requested = 0;
-        each(&help::with_examples(Cli::command()), "", &mut |path, command| {
+        each(&help::with_extended_help(Cli::command()), "", &mut |path, command| {
             let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(after.contains("trueup "), "{path} has no example: {after}");
             requested += 1;

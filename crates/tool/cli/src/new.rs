@@ -9,7 +9,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::json;
 use trueup_machine::{
-    BadInput, MachineFile,
+    InputFileError, MachineFile,
     file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
     template::{CncControl, SensorDataSheet, Template},
 };
@@ -40,7 +40,7 @@ pub struct NewArgs {
     #[arg(long)]
     name: Option<String>,
     /// Which rotary axes carry the tool (head) and which the workpiece (table), or a lathe.
-    #[arg(long, value_parser = by_name(KINDS, MachineKind::name))]
+    #[arg(long, value_parser = by_name(MACHINE_KINDS, MachineKind::name))]
     kind: Option<MachineKind>,
     /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
     #[arg(long, value_delimiter = ',', value_name = "AXES", value_parser = by_name(RotaryAxis::ALL, RotaryAxis::name))]
@@ -64,17 +64,17 @@ pub struct NewArgs {
     #[arg(long, value_name = "V", value_parser = questions::parse_positive)]
     sensor_volts: Option<f64>,
     /// A PT100 and where it is, once for each: screw.
-    #[arg(long, value_name = "WHERE", value_parser = questions::parse_word)]
+    #[arg(long, value_name = "WHERE", value_parser = questions::parse_column_word)]
     thermometer: Vec<String>,
     /// The control that gets the offsets.
-    #[arg(long, value_parser = named(CONTROLS))]
+    #[arg(long, value_parser = named(CNC_CONTROLS))]
     control: Option<CncControl>,
     /// Ask nothing.
     #[arg(long)]
     yes: bool,
 }
 
-const KINDS: [MachineKind; 5] = [
+const MACHINE_KINDS: [MachineKind; 5] = [
     MachineKind::ThreeAxis,
     MachineKind::HeadHead,
     MachineKind::HeadTable,
@@ -82,7 +82,7 @@ const KINDS: [MachineKind; 5] = [
     MachineKind::Lathe,
 ];
 
-const CONTROLS: [(CncControl, &str); 4] = [
+const CNC_CONTROLS: [(CncControl, &str); 4] = [
     (CncControl::LinuxCnc, "linuxcnc"),
     (CncControl::Siemens, "siemens"),
     (CncControl::Fanuc, "fanuc"),
@@ -100,7 +100,7 @@ fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
 /// Writes the file.
 pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
     let requests =
-        !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
+        !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_stdout_terminal();
     let template = template_from_flags(args)?;
     // Before anything is asked: answers are not to be lost.
     let is_name_missing = requests && args.output.is_none() && args.name.is_none();
@@ -118,8 +118,8 @@ pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
     let name = if is_stdout { "machine.toml".into() } else { path.to_string_lossy() };
     let text = template.to_toml(&name);
     // What cannot be, and no flag alone could show: a head with three axes, two thermometers of a name.
-    MachineFile::parse(&text, &path).map_err(|BadInput { rule, .. }| UserError(rule))?;
-    files::check_before_write(&text, &path, None)?;
+    MachineFile::parse(&text, &path).map_err(|InputFileError { rule, .. }| UserError(rule))?;
+    files::check_machine_before_write(&text, &path, None)?;
     output::write_atomically(&path, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;

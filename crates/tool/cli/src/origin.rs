@@ -9,27 +9,27 @@ use std::{
 use anyhow::{Context as _, Result};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use time::OffsetDateTime;
-use trueup_page::Origin;
+use trueup_page::Provenance;
 
 /// The CRC of zip and Ethernet.
 const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// That of a report of today from these files.
-pub fn from_files(files: &[&Path]) -> Result<Origin> {
+pub fn from_files(files: &[&Path]) -> Result<Provenance> {
     let named = |path: &&Path| Ok((path.display().to_string(), file_crc32(path)?));
     Ok(from_checksums(files.iter().map(named).collect::<Result<_>>()?))
 }
 
 /// The same from files that are read already: their names and contents.
-pub fn from_contents(files: &[(&str, &[u8])]) -> Origin {
+pub fn from_contents(files: &[(&str, &[u8])]) -> Provenance {
     from_checksums(
         files.iter().map(|(name, bytes)| ((*name).into(), CRC.checksum(bytes))).collect(),
     )
 }
 
-fn from_checksums(files: Vec<(String, u32)>) -> Origin {
+fn from_checksums(files: Vec<(String, u32)>) -> Provenance {
     let date = OffsetDateTime::now_utc().date().to_string();
-    Origin { version: env!("CARGO_PKG_VERSION").into(), date, files }
+    Provenance { version: env!("CARGO_PKG_VERSION").into(), date, files }
 }
 
 fn file_crc32(path: &Path) -> Result<u32> {

@@ -66,7 +66,7 @@ pub struct ProgramArgs {
     /// The measuring instrument. For backlash, a dial (the default) needs a stop at each place, a
     /// laser none. Default for warmup: a gauge that does not touch; with a dial the spindle stops
     /// for each reading.
-    #[arg(long, value_parser = described(INSTRUMENTS))]
+    #[arg(long, value_parser = described(MEASURING_INSTRUMENTS))]
     gauge: Option<MeasuringInstrument>,
     /// warmup: the speed. Default: rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
@@ -140,7 +140,7 @@ impl Controller {
     }
 }
 
-const INSTRUMENTS: [(MeasuringInstrument, &str, &str); 2] = [
+const MEASURING_INSTRUMENTS: [(MeasuringInstrument, &str, &str); 2] = [
     (MeasuringInstrument::Dial, "dial", "An indicator at one place"),
     (MeasuringInstrument::Laser, "laser", "A laser interferometer along the whole way"),
 ];
@@ -165,7 +165,7 @@ pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
     control.check_machine(&machine).map_err(refused)?;
     let (mut plans, notes) =
-        create_plans(kind, &machine, &plan_options(args, &machine)?).map_err(refused)?;
+        create_plans(kind, &machine, &measurement_options(args, &machine)?).map_err(refused)?;
     notes.iter().for_each(report::warn);
     output::create_folder(&args.out)?;
     let mut written = Vec::new();
@@ -231,7 +231,10 @@ fn complete_commands(then: &[String], args: &ProgramArgs) -> Vec<String> {
     lines
 }
 
-fn plan_options(args: &ProgramArgs, machine: &Machine) -> Result<MeasurementOptions, UserError> {
+fn measurement_options(
+    args: &ProgramArgs,
+    machine: &Machine,
+) -> Result<MeasurementOptions, UserError> {
     let mut options = MeasurementOptions {
         axes: args.axis.clone(),
         feeds_mm_per_min: args.feed.clone(),

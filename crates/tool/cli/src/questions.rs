@@ -4,12 +4,12 @@ use anyhow::{Error, Result};
 use dialoguer::{Input, Select};
 use trueup_machine::{
     file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
-    inputs::MAX_CHANNEL,
+    inputs::MAX_TEMPERATURE_CHANNEL,
     template::{CncControl, SensorDataSheet, Template},
 };
 
 /// As many channels has the board.
-const MAX_THERMOMETERS: usize = MAX_CHANNEL as usize + 1;
+const MAX_THERMOMETERS: usize = MAX_TEMPERATURE_CHANNEL as usize + 1;
 
 /// Questions that the flags have answered: they are not asked.
 pub struct AnsweredQuestions {
@@ -50,7 +50,7 @@ pub fn parse_travel(text: &str) -> Result<[f64; 2], String> {
 }
 
 /// Returns a word that a column may be named by.
-pub fn parse_word(text: &str) -> Result<String, String> {
+pub fn parse_column_word(text: &str) -> Result<String, String> {
     let text = text.trim().to_lowercase();
     let is_word = !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if is_word { Ok(text) } else { Err("must be a word of letters and digits: screw".into()) }
@@ -140,7 +140,7 @@ pub fn run_questionnaire(
     while let Some(question) = open.get(next) {
         if !is_applicable(*question, &template) {
             next += 1;
-        } else if put_question(*question, &mut template, check_name)? {
+        } else if prompt_question(*question, &mut template, check_name)? {
             requested.push(next);
             next += 1;
         } else {
@@ -168,7 +168,7 @@ fn parse_yes_no(text: &str) -> Result<bool, String> {
 }
 
 /// Asks one question; false: back to the one before.
-fn put_question(
+fn prompt_question(
     question: Question,
     template: &mut Template,
     check_name: &dyn Fn(&str) -> Result<(), String>,
@@ -290,7 +290,7 @@ fn prompt_thermometers(template: &mut Template) -> Result<bool> {
     while template.thermometers.len() < MAX_THERMOMETERS {
         let before = template.thermometers.clone();
         let new = |text: &str| {
-            parse_word(text).and_then(|word| match before.contains(&word) {
+            parse_column_word(text).and_then(|word| match before.contains(&word) {
                 true => Err(format!("there is a {word} already")),
                 false => Ok(word),
             })

@@ -26,7 +26,7 @@ use std::{
 
 use annotate_snippets::{AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::json;
-use trueup_machine::{BadInput, Location, check::Warning};
+use trueup_machine::{InputFileError, Location, check::Warning};
 use trueup_output::escape::{escape_line, needs_escaping};
 
 /// The form and the extent of the messages to the user.
@@ -54,21 +54,21 @@ pub fn verbosity() -> Verbosity {
 }
 
 /// Whether warnings about a file are of no use to the user just now.
-static SUPPRESS_WARNINGS: AtomicBool = AtomicBool::new(false);
+static WARNINGS_SUPPRESSED: AtomicBool = AtomicBool::new(false);
 
 /// Returns what `command` comes to; warnings about its files are printed only if it is `of_use`.
 pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
-    SUPPRESS_WARNINGS.store(!of_use, Ordering::Relaxed);
+    WARNINGS_SUPPRESSED.store(!of_use, Ordering::Relaxed);
     let done = command();
-    SUPPRESS_WARNINGS.store(false, Ordering::Relaxed);
+    WARNINGS_SUPPRESSED.store(false, Ordering::Relaxed);
     done
 }
 
 /// Each error of a file, and how many there are where there is more than one, or more than are listed.
-pub fn report_bad_input(error: BadInput) {
+pub fn report_bad_input(error: InputFileError) {
     let unlisted = error.unlisted;
-    let errors: Vec<BadInput> = error.into_single_faults().collect();
-    for BadInput { place, rule, help, .. } in &errors {
+    let errors: Vec<InputFileError> = error.into_single_errors().collect();
+    for InputFileError { place, rule, help, .. } in &errors {
         print_message(Level::ERROR, rule, Some(place), help.as_deref());
     }
     if unlisted > 0 {
@@ -98,7 +98,7 @@ pub fn warn_at(Warning { place, what, help }: &Warning) {
 
 /// Prints the warnings about `file`, each on one line, and where there is more to read about it.
 pub fn print_brief_warnings(file: &Path, warnings: &[Warning]) {
-    if verbosity().quiet || SUPPRESS_WARNINGS.load(Ordering::Relaxed) {
+    if verbosity().quiet || WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
         return;
     }
     for Warning { place, what, help } in warnings {
@@ -106,7 +106,10 @@ pub fn print_brief_warnings(file: &Path, warnings: &[Warning]) {
             print_message(Level::WARNING, what, Some(place), Some(help));
         } else {
             let text = escape_line(&format!("{place}: {what}"));
-            trueup_output::write_styled(format_args!("{}: {text}", highlight("warning")));
+            trueup_output::write_styled_diagnostic(format_args!(
+                "{}: {text}",
+                highlight("warning")
+            ));
         }
     }
     if !warnings.is_empty() && !verbosity().json {
@@ -119,7 +122,7 @@ pub fn print_brief_warnings(file: &Path, warnings: &[Warning]) {
 
 /// Prints the remarks on a file that need nothing done, each on one line.
 pub fn print_remarks(remarks: &[Warning]) {
-    if verbosity().quiet || SUPPRESS_WARNINGS.load(Ordering::Relaxed) {
+    if verbosity().quiet || WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
         return;
     }
     for Warning { place, what, help } in remarks {
@@ -165,7 +168,7 @@ fn print_message(level: Level<'_>, text: &str, place: Option<&Location>, help: O
         group = group.element(Level::HELP.message(help.as_str()));
     }
     let renderer = if is_colour_enabled() { Renderer::styled() } else { Renderer::plain() };
-    trueup_output::write_styled(renderer.render(&[group]));
+    trueup_output::write_styled_diagnostic(renderer.render(&[group]));
 }
 
 /// Returns a message as `--json` prints it.
@@ -188,7 +191,7 @@ pub fn message_json(
 /// Returns whether standard error shows colours, and may.
 fn is_colour_enabled() -> bool {
     let is_forbidden = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    trueup_output::is_error_terminal() && !is_forbidden
+    trueup_output::is_stderr_terminal() && !is_forbidden
 }
 
 fn highlight(word: &str) -> String {

@@ -5,7 +5,7 @@ use std::{io::BufReader, path::Path};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_import::is_foreign_format;
-use trueup_machine::{BadInput, Location, RunFile, bounded_read, run_file::is_known_column};
+use trueup_machine::{InputFileError, Location, RunFile, bounded_read, run_file::is_known_column};
 use trueup_output::escape::shell_quote;
 
 /// A run above this is worth a progress bar: about a second of work.
@@ -15,7 +15,7 @@ pub const PROGRESS_BAR_MIN_BYTES: u64 = 16 << 20;
 const MAX_IMPORT_PROBE_BYTES: u64 = 16 << 20;
 
 /// Reads the run file at `path`.
-pub fn read(path: &Path) -> Result<RunFile, BadInput> {
+pub fn read(path: &Path) -> Result<RunFile, InputFileError> {
     let read = read_run(path);
     let is_run = |run: &RunFile| run.columns().iter().any(|column| is_known_column(&column.name));
     match read {
@@ -42,20 +42,28 @@ fn is_machine_file(bytes: &[u8]) -> bool {
 }
 
 /// Returns the error for a machine file in the place of a run file.
-fn not_a_run_error(path: &Path) -> BadInput {
-    BadInput::new(Location::start_of_file(path), "is a machine file, and a run file is needed here")
-        .with_help("--machine takes the machine file; a run file is a CSV file with a header of column names")
+fn not_a_run_error(path: &Path) -> InputFileError {
+    InputFileError::new(
+        Location::start_of_file(path),
+        "is a machine file, and a run file is needed here",
+    )
+    .with_help(
+        "--machine takes the machine file; a run file is a CSV file with a header of column names",
+    )
 }
 
 /// Returns the error for a table that `import` reads.
-fn needs_import_error(path: &Path) -> BadInput {
+fn needs_import_error(path: &Path) -> InputFileError {
     let run = path.with_extension("run.csv");
     let name = |path: &Path| shell_quote(&path.to_string_lossy());
-    BadInput::new(Location::start_of_file(path), "is no run file, but a table that can be imported")
-        .with_help(format!("trueup import {} -o {}", name(path), name(&run)))
+    InputFileError::new(
+        Location::start_of_file(path),
+        "is no run file, but a table that can be imported",
+    )
+    .with_help(format!("trueup import {} -o {}", name(path), name(&run)))
 }
 
-fn read_run(path: &Path) -> Result<RunFile, BadInput> {
+fn read_run(path: &Path) -> Result<RunFile, InputFileError> {
     let file = RunFile::open(path)?;
     let bytes = file_size(path);
     let bar = progress_bar("reading", bytes, bytes);

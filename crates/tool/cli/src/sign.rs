@@ -45,9 +45,9 @@ pub struct SignArgs {
 /// Makes a key, signs or checks.
 pub fn run(args: &SignArgs) -> Result<Outcome> {
     match (&args.new, &args.key, &args.check) {
-        (Some(path), ..) => generate_key(path),
+        (Some(path), ..) => generate_key_pair(path),
         (None, Some(key), _) => sign_files(key, &args.files),
-        (None, None, Some(key)) => check_signatures(key, &args.files),
+        (None, None, Some(key)) => verify_signatures(key, &args.files),
         (None, None, None) => {
             let rule = "--key KEY.pem signs the files, --check KEY.pub.pem checks their signatures";
             Err(UserError(rule.into()).into())
@@ -55,10 +55,10 @@ pub fn run(args: &SignArgs) -> Result<Outcome> {
     }
 }
 
-fn generate_key(path: &Path) -> Result<Outcome> {
+fn generate_key_pair(path: &Path) -> Result<Outcome> {
     let key = PrivateKey::generate()?;
     let (private, public) = (key.to_pem()?, key.public_key().to_pem()?);
-    let adjacent = public_path(path);
+    let adjacent = public_key_path(path);
     if adjacent.exists() {
         let rule = "there is a public key already; a new pair needs another name";
         return Err(UserError(format!("{}: {rule}", adjacent.display())).into());
@@ -82,7 +82,7 @@ fn generate_key(path: &Path) -> Result<Outcome> {
 }
 
 /// Returns `KEY.pub.pem` for `KEY.pem`.
-fn public_path(private: &Path) -> PathBuf {
+fn public_key_path(private: &Path) -> PathBuf {
     private.with_extension("pub.pem")
 }
 
@@ -109,7 +109,7 @@ fn sign_files(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn check_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
+fn verify_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
     let pem = files::read_text(key, MAX_KEY_BYTES)?;
     let public = PublicKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let mut outcome = Outcome::Done;
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn names_of_key_and_signature() {
-        assert_eq!(public_path(Path::new("a/shop.pem")), Path::new("a/shop.pub.pem"));
+        assert_eq!(public_key_path(Path::new("a/shop.pem")), Path::new("a/shop.pub.pem"));
         assert_eq!(signature_path(Path::new("a/x.tar.gz")), Path::new("a/x.tar.gz.sig"));
     }
 }

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
+use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
 use trueup_twin::{Scenario, simulate};
 
 use crate::{Outcome, output};
@@ -32,13 +32,13 @@ pub struct SimulateArgs {
 pub fn run(args: &SimulateArgs, as_json: bool) -> Result<Outcome> {
     let SimulateArgs { scenario: path, seed, output: to } = args;
     let bad = |line, column, rule: &str| {
-        BadInput::new(Location { file: path.clone(), line, column }, rule)
+        InputFileError::new(Location { file: path.clone(), line, column }, rule)
     };
-    let bytes = bounded_read::read(path, MAX_FILE_BYTES)?;
+    let bytes = bounded_read::read(path, MAX_MACHINE_FILE_BYTES)?;
     let text = String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
         let place = Location::from_byte_offset(path, &valid, valid.len());
-        BadInput::new(place, "is not UTF-8 text")
+        InputFileError::new(place, "is not UTF-8 text")
     })?;
     let scenario =
         Scenario::parse(&text, path).map_err(|error| bad(error.line, error.column, &error.rule))?;

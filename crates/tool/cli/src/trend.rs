@@ -43,7 +43,7 @@ pub struct TrendArgs {
 
 /// Parses a day as it is written.
 pub fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
-    dated::parse_day(text).ok_or_else(|| "is no date like 2026-11-22".into())
+    dated::find_day_in_name(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
 /// Returns the day of this computer.
@@ -71,7 +71,7 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
         if !matches!(kind.as_str(), "csv" | "toml") {
             continue;
         }
-        let Some(day) = dated::parse_day(&name) else {
+        let Some(day) = dated::find_day_in_name(&name) else {
             report::warn(format_args!("{name}: skipped, its name has no date like 2026-11-22"));
             continue;
         };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use trueup_learn::calibration_monitoring::{CalibrationReport, monitor_calibration};
+use trueup_learn::calibration_monitoring::{CalibrationMonitoringReport, monitor_calibration};
 use trueup_machine::file::Quantity;
 
 use crate::{Outcome, choice::by_name, diagnose::parse_positive, files, output};
@@ -50,7 +50,7 @@ pub fn run(args: &TrustArgs, as_json: bool) -> Result<Outcome> {
     Ok(if found.alarm.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
-fn print(found: &CalibrationReport) -> Result<()> {
+fn print(found: &CalibrationMonitoringReport) -> Result<()> {
     match &found.alarm {
         None => output::print("the calibration fits")?,
         Some(alarm) => {

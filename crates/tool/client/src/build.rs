@@ -11,13 +11,13 @@ use crate::{
 
 /// A version and, where it is known, the commit that it is of.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Build {
+pub struct BuildVersion {
     version: String,
     /// The first 32 bits of its hash.
     commit: Option<u32>,
 }
 
-impl Build {
+impl BuildVersion {
     /// Returns the build of a tool, as its build script gives it: `commit` in 8 hexadecimal digits; otherwise unknown.
     #[must_use]
     pub fn new(version: &str, commit: &str) -> Self {
@@ -69,7 +69,7 @@ impl Build {
     }
 }
 
-impl Display for Build {
+impl Display for BuildVersion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.commit {
             Some(commit) => write!(f, "{} ({commit:08x})", self.version),

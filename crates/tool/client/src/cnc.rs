@@ -2,26 +2,26 @@
 //! serial line.
 
 use trueup_core::{
-    cnc::{CncMessage, Conditions},
+    cnc::{CncMessage, MachineConditions},
     units::{MicroDegrees, Position},
 };
-use trueup_link::{frame::Frame, receiver::Receiver};
+use trueup_link::{frame::Frame, receiver::CncReceiver};
 
 /// How long a value from the CNC counts, in ms of the bridge.
 const VALUE_TIMEOUT_MS: u64 = 500;
 /// Its columns of a run file; two angles come after them, whose names the machine file knows.
-pub(crate) const COLUMNS: [&str; 8] =
+pub(crate) const CNC_COLUMNS: [&str; 8] =
     ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm", "dir_x", "dir_y", "dir_z"];
 /// Decimals of each in a run file; the angles stand last.
-const DECIMALS: [usize; VALUE_COUNT] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
-const VALUE_COUNT: usize = COLUMNS.len() + 2;
+const COLUMN_DECIMALS: [usize; VALUE_COUNT] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
+const VALUE_COUNT: usize = CNC_COLUMNS.len() + 2;
 
 /// The CNC's state, where it can be received: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
 pub struct CncState {
-    receiver: Receiver,
+    receiver: CncReceiver,
     values: [Option<(f64, u64)>; VALUE_COUNT],
-    conditions: Option<(Conditions, u64)>,
+    conditions: Option<(MachineConditions, u64)>,
 }
 
 impl CncState {
@@ -56,7 +56,7 @@ impl CncState {
 
     /// Returns the tool and the conditions of the machine.
     #[must_use]
-    pub fn conditions(&self, now_ms: u64) -> Option<Conditions> {
+    pub fn conditions(&self, now_ms: u64) -> Option<MachineConditions> {
         let (conditions, at_ms) = self.conditions?;
         (now_ms.saturating_sub(at_ms) <= VALUE_TIMEOUT_MS).then_some(conditions)
     }
@@ -93,7 +93,7 @@ impl CncState {
 
     /// Returns the cells of a row at this time of the bridge, empty where nothing is known.
     pub(crate) fn cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
-        DECIMALS.into_iter().enumerate().map(move |(column, decimals)| {
+        COLUMN_DECIMALS.into_iter().enumerate().map(move |(column, decimals)| {
             self.value(column, now_ms)
                 .map(|value| format!("{value:.decimals$}"))
                 .unwrap_or_default()
@@ -105,7 +105,7 @@ impl CncState {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, LinearAxis, Rotary, Spindle, TravelDirection},
+        cnc::{AxisPosition, LinearAxis, RotaryAxisAngles, SpindleState, TravelDirection},
         units::Rpm,
     };
     use trueup_link::frames;
@@ -113,7 +113,7 @@ mod tests {
     #[test]
     fn what_the_cnc_says_stands_in_its_columns_until_it_is_old() {
         let mut cnc = CncState::default();
-        let spindle = Spindle { speed: Rpm(12_000), load_n: -7 };
+        let spindle = SpindleState { speed: Rpm(12_000), load_n: -7 };
         cnc.receive(&frames::encode_spindle(spindle, 0), 1_000);
         let z = AxisPosition {
             axis: LinearAxis::Z,
@@ -121,7 +121,8 @@ mod tests {
             direction: TravelDirection::Negative,
         };
         cnc.receive(&frames::encode_position(z, 0), 1_200);
-        let rotary = Rotary { angles: [MicroDegrees(-90_000_000), MicroDegrees(1_234_567)] };
+        let rotary =
+            RotaryAxisAngles { angles: [MicroDegrees(-90_000_000), MicroDegrees(1_234_567)] };
         cnc.receive(&frames::encode_rotary(rotary, 0), 1_300);
         let at = |ms| cnc.cells(ms).collect::<Vec<_>>().join(",");
         assert_eq!(at(1_500), "12000,-7,,,-123.45678,,,-1,-90.0000,1.2345");

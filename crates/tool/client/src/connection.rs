@@ -33,11 +33,11 @@ const MAX_QUEUED_FRAMES: usize = 32;
 const RECONNECT_DELAY: Duration = Duration::from_millis(250);
 /// After this silence a bridge is requested to open its channel again: it may have
 /// restarted.
-const SILENCE_TIMEOUT: Duration = Duration::from_secs(1);
+const CHANNEL_REOPEN_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often the writer looks whether there is a request to send.
 const WRITER_POLL_PERIOD: Duration = Duration::from_millis(10);
 /// After this time without a frame a line is closed and opened again.
-const RECONNECT_TIMEOUT: Duration = Duration::from_secs(3);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// An event on the line.
 #[derive(Debug)]
@@ -189,10 +189,12 @@ fn read_events(
             Err(error) if is_timeout(&error) => {}
             Err(error) => return error.to_string(),
         }
-        if last.elapsed() > RECONNECT_TIMEOUT {
-            return format!("no frame has come for {} s", RECONNECT_TIMEOUT.as_secs());
+        if last.elapsed() > FRAME_TIMEOUT {
+            return format!("no frame has come for {} s", FRAME_TIMEOUT.as_secs());
         }
-        if last.elapsed() > SILENCE_TIMEOUT && requested_at.elapsed() > SILENCE_TIMEOUT {
+        if last.elapsed() > CHANNEL_REOPEN_TIMEOUT
+            && requested_at.elapsed() > CHANNEL_REOPEN_TIMEOUT
+        {
             requested_at = Instant::now();
             reopen.store(true, Ordering::Relaxed);
         }
@@ -316,7 +318,7 @@ mod tests {
         });
         let line = Connection::spawn(move || open(number));
         let start = Instant::now();
-        while start.elapsed() < 2 * SILENCE_TIMEOUT {
+        while start.elapsed() < 2 * CHANNEL_REOPEN_TIMEOUT {
             for event in line.take_events() {
                 assert!(!matches!(event, ConnectionEvent::Down(_)), "nothing was wrong: {event:?}");
             }

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use trueup_canopen::dictionary::WriteAuthority;
-use trueup_core::cnc::{Control, Quality};
+use trueup_core::cnc::{Control, OffsetQuality};
 
 use crate::{
     load::{STALE_SERVICE_MARGIN, read_link_timeout},
-    object::{self, ACCEPTED_FRAMES, AUTHORITY, NOT_AVAILABLE, OFFSET, QUALITY},
+    object::{self, ACCEPTED_FRAMES, NOT_AVAILABLE, OFFSETS, QUALITY, WRITE_AUTHORITY},
     session::Session,
 };
 
@@ -26,7 +26,7 @@ const STANDSTILL_TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DisengageOutcome {
     /// Nothing was followed; nothing was sent.
-    AtRest(Quality),
+    AtRest(OffsetQuality),
     /// They were these, in nm, and are 0, or not available any more.
     Done {
         /// X, Y and Z when it began.
@@ -52,7 +52,7 @@ pub fn disengage(
     if is_at_rest(found) {
         return Ok(DisengageOutcome::AtRest(found));
     }
-    let from_nm = read_offsets(session)?;
+    let from_nm = read_offsets_nm(session)?;
     // One that has disengaged takes its offset back already.
     let is_cnc_commanding = is_cnc_commanding(session)?;
     if !is_cnc_commanding {
@@ -62,9 +62,9 @@ pub fn disengage(
     let size = |all: [Option<i32>; 3]| all.into_iter().flatten().map(i32::unsigned_abs).max();
     let (mut smallest, mut fell) = (size(from_nm), start);
     let outcome = loop {
-        let now_nm = read_offsets(session)?;
+        let now_nm = read_offsets_nm(session)?;
         let quality = read_quality(session)?;
-        if is_cnc_commanding && !is_at_rest(quality) && quality != Quality::RampingOut {
+        if is_cnc_commanding && !is_at_rest(quality) && quality != OffsetQuality::RampingOut {
             break DisengageOutcome::CncCommands(now_nm);
         }
         if is_at_rest(quality) {
@@ -92,7 +92,7 @@ fn is_cnc_commanding(session: &mut Session) -> Result<bool> {
         if object::read_number(session, ACCEPTED_FRAMES)? != accepted {
             return Ok(true);
         }
-        let authority = object::read_number(session, AUTHORITY)?;
+        let authority = object::read_number(session, WRITE_AUTHORITY)?;
         if authority == WriteAuthority::NoMaster as u32 {
             return Ok(false);
         }
@@ -103,20 +103,20 @@ fn is_cnc_commanding(session: &mut Session) -> Result<bool> {
     }
 }
 
-fn read_quality(session: &mut Session) -> Result<Quality> {
+fn read_quality(session: &mut Session) -> Result<OffsetQuality> {
     let number = object::read_number(session, QUALITY)?;
-    let quality = u8::try_from(number).ok().and_then(Quality::from_wire);
+    let quality = u8::try_from(number).ok().and_then(OffsetQuality::from_wire);
     quality.context("the bridge sends an unknown quality")
 }
 
-const fn is_at_rest(quality: Quality) -> bool {
-    matches!(quality, Quality::Off | Quality::Fault)
+const fn is_at_rest(quality: OffsetQuality) -> bool {
+    matches!(quality, OffsetQuality::Off | OffsetQuality::Fault)
 }
 
 /// X, Y and Z in nm; `None`: not available.
-fn read_offsets(session: &mut Session) -> Result<[Option<i32>; 3]> {
+fn read_offsets_nm(session: &mut Session) -> Result<[Option<i32>; 3]> {
     let mut all = [None; 3];
-    for (place, at) in all.iter_mut().zip(OFFSET) {
+    for (place, at) in all.iter_mut().zip(OFFSETS) {
         let nm = object::read_number(session, at)?.cast_signed();
         *place = (nm != NOT_AVAILABLE).then_some(nm);
     }

@@ -26,8 +26,8 @@ use crate::{
     firmware_slots::FirmwareSlots,
     load::{require_service, restart_until},
     object::{
-        self, FIRMWARE_BYTES_RECEIVED, FIRMWARE_HEADER, FIRMWARE_IMAGE, FIRMWARE_IMAGE_ID,
-        FIRMWARE_REFUSAL,
+        self, FIRMWARE_BYTES_RECEIVED, FIRMWARE_HEADER, FIRMWARE_IMAGE, FIRMWARE_REFUSAL,
+        FIRMWARE_TAG,
     },
     session::Session,
 };
@@ -179,7 +179,7 @@ fn send_firmware(
             Err(error) => {
                 // In a block a board takes whatever comes for a segment.
                 session.send(&timeout_abort(at))?;
-                let is_value = is_abort(&error, AbortCode::Value);
+                let is_value = has_abort_code(&error, AbortCode::Value);
                 if !is_value && !is_transient_error(&error) {
                     return Err(error);
                 }
@@ -213,7 +213,7 @@ pub fn restart(session: &mut Session, slot: Slot) -> Result<FirmwareSlots> {
     restart_until(
         session,
         |client| FirmwareSlots::read(client)?.context("the board has no firmware slots any more"),
-        |now| now.running == slot || now.content(slot).status == Some(ImageStatus::Rejected),
+        |now| now.running == slot || now.slot_content(slot).status == Some(ImageStatus::Rejected),
     )
 }
 
@@ -221,7 +221,7 @@ pub fn restart(session: &mut Session, slot: Slot) -> Result<FirmwareSlots> {
 fn received_bytes(session: &mut Session, firmware: &SlotFirmware) -> Result<u32> {
     let received = object::read_number(session, FIRMWARE_BYTES_RECEIVED)?;
     let is_possible = (HEADER_SIZE..=firmware.bytes.len()).contains(&(received as usize));
-    if !is_possible || object::read_number(session, FIRMWARE_IMAGE_ID)? != firmware.image.tag {
+    if !is_possible || object::read_number(session, FIRMWARE_TAG)? != firmware.image.tag {
         return Ok(0);
     }
     Ok(received)
@@ -231,7 +231,7 @@ fn received_bytes(session: &mut Session, firmware: &SlotFirmware) -> Result<u32>
 fn is_verified(session: &mut Session, firmware: &SlotFirmware) -> Result<bool> {
     let slots =
         FirmwareSlots::read(session)?.context("the board has no firmware slots any more")?;
-    Ok(slots.content(firmware.image.header.slot).status == Some(ImageStatus::Verified))
+    Ok(slots.slot_content(firmware.image.header.slot).status == Some(ImageStatus::Verified))
 }
 
 /// Returns the refusal of the firmware under way. An earlier one stays readable until a header is accepted, so none
@@ -247,12 +247,12 @@ fn read_refusal(session: &mut Session, is_under_way: bool) -> Result<Option<Firm
 
 /// Returns whether the same may be taken a moment later: a frame was lost, or the board is at a step.
 fn is_transient_error(error: &anyhow::Error) -> bool {
-    object::is_line_error(error)
-        || is_abort(error, AbortCode::DeviceState)
-        || is_abort(error, AbortCode::CannotStore)
+    object::is_transmission_error(error)
+        || has_abort_code(error, AbortCode::DeviceState)
+        || has_abort_code(error, AbortCode::CannotStore)
 }
 
-fn is_abort(error: &anyhow::Error, abort: AbortCode) -> bool {
+fn has_abort_code(error: &anyhow::Error, abort: AbortCode) -> bool {
     matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if *code == abort.code())
 }
 

@@ -7,7 +7,7 @@
 use embedded_storage::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use trueup_boot::{
     flash_layout::{SLOT_SIZE, Slot},
-    header::{HEADER_SIZE, Header, HeaderError, SIGNATURE_SIZE, Version},
+    header::{HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE, Version},
     image_check::{Image, ImageDefect, VerifyingKey, check_header, check_image},
 };
 
@@ -34,7 +34,7 @@ const SUPPLIER_HINT: &str = "Ask the maker of the file for a whole one";
 
 /// The rule that a file breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FormatViolation {
+pub enum FirmwareFileErrorKind {
     /// The file ends within the header.
     #[error("ends within the header of {HEADER_SIZE} bytes. {REFETCH_HINT}")]
     ShortHeader,
@@ -74,7 +74,7 @@ pub struct FirmwareFileError {
     /// Offset of the byte in the file from which on it is wrong.
     pub at: usize,
     /// The rule that it breaks there.
-    pub rule: FormatViolation,
+    pub rule: FirmwareFileErrorKind,
 }
 
 fn defect_text(defect: ImageDefect) -> String {
@@ -102,19 +102,20 @@ impl FirmwareFile {
         while at < file.len() || parts.is_empty() {
             let wrong = |rule| FirmwareFileError { at, rule };
             if parts.len() == 2 {
-                return Err(wrong(FormatViolation::TooLong));
+                return Err(wrong(FirmwareFileErrorKind::TooLong));
             }
-            let part = read_part(&file[at..]).map_err(wrong)?;
+            let part = parse_part(&file[at..]).map_err(wrong)?;
             let header = part.image.header;
             if let [first] = &parts[..] {
                 let first = first.image.header;
                 if (first.slot, header.slot) != (Slot::A, Slot::B) {
-                    return Err(wrong(FormatViolation::Order));
+                    return Err(wrong(FirmwareFileErrorKind::Order));
                 }
                 let (first, second) =
                     ((first.version, first.floor), (header.version, header.floor));
                 if first != second {
-                    let rule = FormatViolation::OtherVersion { first: first.0, second: second.0 };
+                    let rule =
+                        FirmwareFileErrorKind::OtherVersion { first: first.0, second: second.0 };
                     return Err(wrong(rule));
                 }
             }
@@ -132,23 +133,26 @@ impl FirmwareFile {
 
     /// Returns the part for a slot; `None`: the file has none for it.
     #[must_use]
-    pub fn part(&self, slot: Slot) -> Option<&SlotFirmware> {
+    pub fn part_for_slot(&self, slot: Slot) -> Option<&SlotFirmware> {
         self.parts.iter().find(|part| part.image.header.slot == slot)
     }
 }
 
 /// Reads the part at the beginning of these bytes.
-fn read_part(bytes: &[u8]) -> Result<SlotFirmware, FormatViolation> {
-    let header: &[u8; HEADER_SIZE] = bytes.first_chunk().ok_or(FormatViolation::ShortHeader)?;
-    let (_, decoded) = Header::decode(header)
-        .map_err(|error| FormatViolation::Defect(ImageDefect::Header(error)))?;
+fn parse_part(bytes: &[u8]) -> Result<SlotFirmware, FirmwareFileErrorKind> {
+    let header: &[u8; HEADER_SIZE] =
+        bytes.first_chunk().ok_or(FirmwareFileErrorKind::ShortHeader)?;
+    let (_, decoded) = ImageHeader::decode(header)
+        .map_err(|error| FirmwareFileErrorKind::Defect(ImageDefect::Header(error)))?;
     // Which version may start is the board's to know.
     let image = check_header(header, decoded.slot, SLOT_SIZE, Version(0))
-        .map_err(FormatViolation::Defect)?;
+        .map_err(FirmwareFileErrorKind::Defect)?;
     let length = decoded.length as usize;
-    let bytes = bytes.get(..length).ok_or(FormatViolation::Truncated { length: decoded.length })?;
+    let bytes =
+        bytes.get(..length).ok_or(FirmwareFileErrorKind::Truncated { length: decoded.length })?;
     let mut flash = ReadOnlySlotFlash { slot: decoded.slot, bytes };
-    check_image(&mut flash, &image, Some(&DummyKey), || ()).map_err(FormatViolation::Defect)?;
+    check_image(&mut flash, &image, Some(&DummyKey), || ())
+        .map_err(FirmwareFileErrorKind::Defect)?;
     Ok(SlotFirmware { image, bytes: bytes.to_vec() })
 }
 
@@ -204,10 +208,10 @@ mod tests {
     const BODY: usize = 100;
     const PART: usize = HEADER_SIZE + BODY;
 
-    fn signed(slot: Slot, minor: u8, change: impl FnOnce(&mut Header)) -> Vec<u8> {
+    fn signed(slot: Slot, minor: u8, change: impl FnOnce(&mut ImageHeader)) -> Vec<u8> {
         let body = [minor ^ slot.number(); BODY];
         let version = Version::new(1, minor, 0, 0);
-        let mut header = Header::new_unsigned(&body, slot, version, Version::new(1, 0, 0, 0));
+        let mut header = ImageHeader::new_unsigned(&body, slot, version, Version::new(1, 0, 0, 0));
         change(&mut header);
         [&header.encode()[..], &body].concat()
     }
@@ -216,7 +220,7 @@ mod tests {
         signed(slot, minor, |_| ())
     }
 
-    fn refused(file: &[u8]) -> (usize, FormatViolation) {
+    fn refused(file: &[u8]) -> (usize, FirmwareFileErrorKind) {
         let error = FirmwareFile::parse(file).expect_err("no update");
         assert!(error.to_string().starts_with(&format!("byte {}: ", error.at)), "{error}");
         (error.at, error.rule)
@@ -233,7 +237,7 @@ mod tests {
             let read = FirmwareFile::parse(&file).expect("an update");
             assert_eq!(read.version(), Version::new(1, 2, 0, 0));
             for (slot, bytes, has) in [(Slot::A, &a, has[0]), (Slot::B, &b, has[1])] {
-                assert_eq!(read.part(slot).map(|part| &part.bytes), has.then_some(bytes));
+                assert_eq!(read.part_for_slot(slot).map(|part| &part.bytes), has.then_some(bytes));
             }
         }
     }
@@ -254,51 +258,60 @@ mod tests {
         let (a, b) = (part(Slot::A, 2), part(Slot::B, 2));
         let length = PART as u32;
         let both = [&a[..], &b].concat();
-        assert_eq!(refused(&[]), (0, FormatViolation::ShortHeader));
-        assert_eq!(refused(&a[..511]), (0, FormatViolation::ShortHeader));
-        assert_eq!(refused(&both[..PART - 1]), (0, FormatViolation::Truncated { length }));
-        assert_eq!(refused(&both[..PART + 1]), (PART, FormatViolation::ShortHeader));
-        assert_eq!(refused(&both[..2 * PART - 4]), (PART, FormatViolation::Truncated { length }));
-        assert_eq!(refused(&[&b[..], &a].concat()), (PART, FormatViolation::Order));
-        assert_eq!(refused(&[&a[..], &a].concat()), (PART, FormatViolation::Order));
-        assert_eq!(refused(&[&both[..], &[0xFF]].concat()), (2 * PART, FormatViolation::TooLong));
+        assert_eq!(refused(&[]), (0, FirmwareFileErrorKind::ShortHeader));
+        assert_eq!(refused(&a[..511]), (0, FirmwareFileErrorKind::ShortHeader));
+        assert_eq!(refused(&both[..PART - 1]), (0, FirmwareFileErrorKind::Truncated { length }));
+        assert_eq!(refused(&both[..PART + 1]), (PART, FirmwareFileErrorKind::ShortHeader));
+        assert_eq!(
+            refused(&both[..2 * PART - 4]),
+            (PART, FirmwareFileErrorKind::Truncated { length })
+        );
+        assert_eq!(refused(&[&b[..], &a].concat()), (PART, FirmwareFileErrorKind::Order));
+        assert_eq!(refused(&[&a[..], &a].concat()), (PART, FirmwareFileErrorKind::Order));
+        assert_eq!(
+            refused(&[&both[..], &[0xFF]].concat()),
+            (2 * PART, FirmwareFileErrorKind::TooLong)
+        );
         let newer = [&a[..], &part(Slot::B, 3)].concat();
         let (first, second) = (Version::new(1, 2, 0, 0), Version::new(1, 3, 0, 0));
-        assert_eq!(refused(&newer), (PART, FormatViolation::OtherVersion { first, second }));
+        assert_eq!(refused(&newer), (PART, FirmwareFileErrorKind::OtherVersion { first, second }));
         let other_floor = signed(Slot::B, 2, |header| header.floor = Version(1));
-        let rule = FormatViolation::OtherVersion { first, second: first };
+        let rule = FirmwareFileErrorKind::OtherVersion { first, second: first };
         assert_eq!(refused(&[&a[..], &other_floor].concat()), (PART, rule));
         assert_eq!(
             refused(b"\x7FELF").1,
-            FormatViolation::ShortHeader,
+            FirmwareFileErrorKind::ShortHeader,
             "another file, shorter than a header"
         );
         let elf = [&b"\x7FELF"[..], &[0; 600]].concat();
         assert_eq!(
             refused(&elf),
-            (0, FormatViolation::Defect(ImageDefect::Header(HeaderError::NoHeader)))
+            (0, FirmwareFileErrorKind::Defect(ImageDefect::Header(HeaderError::NoHeader)))
         );
     }
 
     #[test]
     fn what_a_header_must_not_say_is_refused_though_nothing_is_damaged() {
-        let defect = |change: fn(&mut Header)| refused(&signed(Slot::A, 2, change)).1;
+        let defect = |change: fn(&mut ImageHeader)| refused(&signed(Slot::A, 2, change)).1;
         assert_eq!(
             defect(|header| header.floor = Version(u32::MAX)),
-            FormatViolation::Defect(ImageDefect::OwnFloor)
+            FirmwareFileErrorKind::Defect(ImageDefect::OwnFloor)
         );
         assert_eq!(
             defect(|header| header.length += 1),
-            FormatViolation::Defect(ImageDefect::Length)
+            FirmwareFileErrorKind::Defect(ImageDefect::Length)
         );
         assert_eq!(
             defect(|header| header.length = SLOT_SIZE + 4),
-            FormatViolation::Defect(ImageDefect::Length)
+            FirmwareFileErrorKind::Defect(ImageDefect::Length)
         );
-        assert_eq!(defect(|header| header.crc ^= 1), FormatViolation::Defect(ImageDefect::Crc));
+        assert_eq!(
+            defect(|header| header.crc ^= 1),
+            FirmwareFileErrorKind::Defect(ImageDefect::Crc)
+        );
         assert_eq!(
             defect(|header| header.digest[7] ^= 1),
-            FormatViolation::Defect(ImageDefect::Digest)
+            FirmwareFileErrorKind::Defect(ImageDefect::Digest)
         );
     }
 }

@@ -15,7 +15,7 @@ use trueup_canopen::sdo::{AbortCode, client::ClientError};
 
 use crate::{
     firmware_file::{FirmwareFile, SlotFirmware},
-    object::{self, MIN_FIRMWARE_VERSION, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUS, SLOT_VERSION},
+    object::{self, MIN_FIRMWARE_VERSION, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUSES, SLOT_VERSIONS},
     session::Session,
 };
 
@@ -131,7 +131,7 @@ impl SlotContent {
 
     /// Returns how often it has started on trial; `None`: it is not on trial.
     #[must_use]
-    pub(crate) const fn trial_starts(&self) -> Option<u8> {
+    pub(crate) const fn trial_start_count(&self) -> Option<u8> {
         match self.status {
             Some(ImageStatus::Trial(starts) | ImageStatus::Announced(starts)) => Some(starts),
             _ => None,
@@ -147,7 +147,7 @@ impl SlotContent {
         json!({
             "version": self.version.map(|version| version.to_string()),
             "status": self.status_name(),
-            "starts": self.trial_starts(),
+            "starts": self.trial_start_count(),
         })
     }
 }
@@ -157,7 +157,7 @@ impl fmt::Display for SlotContent {
         if let Some(version) = self.version {
             write!(f, "{version}, ")?;
         }
-        match (self.trial_starts(), self.status_name()) {
+        match (self.trial_start_count(), self.status_name()) {
             (Some(starts), _) => write!(f, "on trial, start {starts} of {MAX_TRIAL_STARTS}"),
             (None, word) => f.write_str(match word {
                 "loading" => "loading: it has not come whole",
@@ -213,15 +213,15 @@ impl FirmwareSlots {
     /// The line breaks, or the board reports a slot that is neither.
     pub fn read(session: &mut Session) -> Result<Option<Self>> {
         let running = match object::read_number(session, RUNNING_SLOT) {
-            Err(error) if is_slots_unsupported(&error) => return Ok(None),
+            Err(error) if is_slot_access_unsupported(&error) => return Ok(None),
             running => running?,
         };
         let running = Slot::ALL.into_iter().find(|slot| u32::from(slot.number()) == running);
         let running = running.context("the bridge runs from a slot that is neither A nor B")?;
-        let slots = [read_content(session, Slot::A)?, read_content(session, Slot::B)?];
+        let slots = [read_slot_content(session, Slot::A)?, read_slot_content(session, Slot::B)?];
         let floor = Version(object::read_number(session, MIN_FIRMWARE_VERSION)?);
         let reported = match object::read_number(session, SLOT_CHOICE) {
-            Err(error) if is_slots_unsupported(&error) => None,
+            Err(error) if is_slot_access_unsupported(&error) => None,
             word => StartInfo::decode(word?),
         };
         Ok(Some(Self { running, slots, floor, reported }))
@@ -229,19 +229,23 @@ impl FirmwareSlots {
 
     /// Returns the content of a slot.
     #[must_use]
-    pub const fn content(&self, slot: Slot) -> &SlotContent {
+    pub const fn slot_content(&self, slot: Slot) -> &SlotContent {
         slot.element_of(&self.slots)
     }
 
     /// Returns why the last start chose the slot that runs: as the boot program has it, else by what the slots hold.
     #[must_use]
     pub fn choice_reason(&self) -> SlotChoiceReason {
-        self.reported.map_or_else(|| self.inferred_choice_reason(), |choice| self.explain(choice))
+        self.reported.map_or_else(
+            || self.inferred_choice_reason(),
+            |choice| self.reported_choice_reason(choice),
+        )
     }
 
     /// Returns the reason of the boot program, with what has happened since.
-    fn explain(&self, StartInfo { reason, other }: StartInfo) -> SlotChoiceReason {
-        let (ours, spare) = (self.content(self.running), self.content(self.running.other()));
+    fn reported_choice_reason(&self, StartInfo { reason, other }: StartInfo) -> SlotChoiceReason {
+        let (ours, spare) =
+            (self.slot_content(self.running), self.slot_content(self.running.other()));
         let is_confirmed = ours.status == Some(ImageStatus::Confirmed);
         let waits = spare.version > ours.version && spare.status == Some(ImageStatus::Verified);
         match (reason, other) {
@@ -264,7 +268,8 @@ impl FirmwareSlots {
     /// Returns why the slot that runs was probably chosen, by the rules of `trueup_boot::start` and what the slots hold
     /// now. It cannot know a dead PLL, records that take nothing, or a trial that was passed since.
     fn inferred_choice_reason(&self) -> SlotChoiceReason {
-        let (ours, other) = (self.content(self.running), self.content(self.running.other()));
+        let (ours, other) =
+            (self.slot_content(self.running), self.slot_content(self.running.other()));
         let Some(status) = ours.status else { return SlotChoiceReason::Unknown };
         match status {
             ImageStatus::Trial(starts) | ImageStatus::Announced(starts) => {
@@ -299,9 +304,11 @@ impl FirmwareSlots {
         file: &'f FirmwareFile,
     ) -> Result<&'f SlotFirmware, UnsuitableFirmware> {
         let spare = self.running.other();
-        let part = file.part(spare).ok_or(UnsuitableFirmware::NoPart { running: self.running })?;
+        let part = file
+            .part_for_slot(spare)
+            .ok_or(UnsuitableFirmware::NoPart { running: self.running })?;
         let (version, floor) = (file.version(), self.floor);
-        let ours = self.content(self.running);
+        let ours = self.slot_content(self.running);
         if let Some(running) = ours.version.filter(|running| version <= *running) {
             return Err(UnsuitableFirmware::NotNewer { file: version, running });
         }
@@ -310,7 +317,7 @@ impl FirmwareSlots {
         }
         // One whose status is not known is the board's to refuse.
         let is_confirmed = ours.status.is_none_or(|status| status == ImageStatus::Confirmed);
-        if !is_confirmed && self.content(spare).is_eligible() {
+        if !is_confirmed && self.slot_content(spare).is_eligible() {
             return Err(UnsuitableFirmware::OnTrial);
         }
         Ok(part)
@@ -321,8 +328,8 @@ impl FirmwareSlots {
     pub fn to_json(&self) -> Value {
         json!({
             "running": self.running.name(),
-            "a": self.content(Slot::A).to_json(),
-            "b": self.content(Slot::B).to_json(),
+            "a": self.slot_content(Slot::A).to_json(),
+            "b": self.slot_content(Slot::B).to_json(),
             "oldest_version": self.floor.to_string(),
             "chosen_because": self.choice_reason().to_string(),
             "choice_reported": self.reported.is_some(),
@@ -330,10 +337,10 @@ impl FirmwareSlots {
     }
 }
 
-fn read_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
-    let version = object::read_number(session, *slot.element_of(&SLOT_VERSION))?;
+fn read_slot_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
+    let version = object::read_number(session, *slot.element_of(&SLOT_VERSIONS))?;
     let [status, starts, ..] =
-        object::read_number(session, *slot.element_of(&SLOT_STATUS))?.to_le_bytes();
+        object::read_number(session, *slot.element_of(&SLOT_STATUSES))?.to_le_bytes();
     Ok(SlotContent {
         version: (version != 0).then_some(Version(version)),
         status: ImageStatus::decode([status, starts]),
@@ -341,7 +348,7 @@ fn read_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
 }
 
 /// Returns whether a board has refused an object because it has no slots.
-fn is_slots_unsupported(error: &anyhow::Error) -> bool {
+fn is_slot_access_unsupported(error: &anyhow::Error) -> bool {
     let codes =
         [AbortCode::NoData, AbortCode::NoObject, AbortCode::NoSubindex].map(AbortCode::code);
     matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if codes.contains(code))

@@ -34,7 +34,7 @@
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!
 //! A failure outside the user's reach is an [`anyhow::Error`], a sentence with its causes; one that
-//! the user has to mend is in there as [`UnusableInput`], or as [`trueup_machine::BadInput`].
+//! the user has to mend is in there as [`UnusableInput`], or as [`trueup_machine::InputFileError`].
 
 #![forbid(unsafe_code)]
 

@@ -18,8 +18,8 @@ use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, calibration_crc, decode};
 
 use crate::{
     object::{
-        self, ACCEPTED_FRAMES, AUTHORITY, DROP_PENDING, PENDING_CALIBRATION, PENDING_CRC,
-        RUNNING_CALIBRATION, RUNNING_CRC, UTC_SECONDS,
+        self, ACCEPTED_FRAMES, DROP_PENDING_COMMAND, PENDING_CALIBRATION, PENDING_CRC,
+        RUNNING_CALIBRATION, RUNNING_CRC, UTC_SECONDS, WRITE_AUTHORITY,
     },
     reference::{BridgeReference, ReferenceNm, unix_time_s},
     session::Session,
@@ -32,7 +32,7 @@ const SERVICE_SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
 /// How much longer than the link timeout the `Service` of a client that has left may stand.
 pub(crate) const STALE_SERVICE_MARGIN: Duration = Duration::from_millis(500);
 /// How long the bridge may take to drop a calibration that it has stored.
-const DROP_TIMEOUT: Duration = Duration::from_secs(3);
+const DROP_PENDING_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
 /// How long the bridge may take to answer after that: one whose new firmware hangs goes back to the other within 2 s. The
@@ -71,12 +71,12 @@ pub fn store_calibration(
     }
     object::write(session, PENDING_CALIBRATION, blob, |sent| progress(StoreStep::Sending, sent))
         .context("the calibration is not loaded")
-        .and_then(|()| verify_stored(session, blob, crc, progress))
+        .and_then(|()| verify_stored_calibration(session, blob, crc, progress))
         .map_err(|error| discard_failed_load(session, error))
 }
 
 /// Whether the bridge has stored what was sent.
-fn verify_stored(
+fn verify_stored_calibration(
     session: &mut Session,
     blob: &[u8],
     crc: u32,
@@ -94,7 +94,7 @@ fn verify_stored(
 /// A load has failed: nothing of it is to be used from the next start. Returns the error, with what is left to do
 /// where it cannot be dropped.
 pub fn discard_failed_load(session: &mut Session, error: Error) -> Error {
-    match drop_pending(session) {
+    match drop_pending_calibration(session) {
         Ok(_) => error,
         Err(why) => error.context(format!(
             "a calibration may be left for the next start ({why:#}): trueup bridge pending shows it, and with --cancel \
@@ -107,14 +107,19 @@ pub fn discard_failed_load(session: &mut Session, error: Error) -> Error {
 ///
 /// # Errors
 /// The bridge refuses or cannot, the line breaks, or it is not permitted.
-pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
+pub fn drop_pending_calibration(session: &mut Session) -> Result<Option<u32>> {
     let pending = object::read_number(session, PENDING_CRC)?;
     if pending == 0 {
         return Ok(None);
     }
     require_service(session)?;
-    object::write(session, DROP_PENDING, &DROP_CALIBRATION_SIGNATURE.to_le_bytes(), |_| ())?;
-    let deadline = Instant::now() + DROP_TIMEOUT;
+    object::write(
+        session,
+        DROP_PENDING_COMMAND,
+        &DROP_CALIBRATION_SIGNATURE.to_le_bytes(),
+        |_| (),
+    )?;
+    let deadline = Instant::now() + DROP_PENDING_TIMEOUT;
     while object::read_number(session, PENDING_CRC)? != 0 {
         if Instant::now() > deadline {
             bail!("the bridge does not drop it: its store takes nothing more");
@@ -131,12 +136,12 @@ pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
 /// another one is offered then.
 pub fn offer_reference(session: &mut Session, nm: ReferenceNm) -> Result<BridgeReference> {
     require_service(session)?;
-    for (at, nm) in object::REFERENCE.into_iter().zip(nm) {
+    for (at, nm) in object::REFERENCE_COMPONENTS.into_iter().zip(nm) {
         object::write(session, at, &nm.to_le_bytes(), |_| ())?;
     }
     object::write(
         session,
-        object::REFERENCE_KEY,
+        object::REFERENCE_COMMAND,
         &RESTORE_REFERENCE_SIGNATURE.to_le_bytes(),
         |_| (),
     )?;
@@ -156,7 +161,7 @@ pub fn forget_reference(session: &mut Session) -> Result<()> {
     require_service(session)?;
     object::write(
         session,
-        object::REFERENCE_KEY,
+        object::REFERENCE_COMMAND,
         &CLEAR_REFERENCE_SIGNATURE.to_le_bytes(),
         |_| (),
     )?;
@@ -254,7 +259,7 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
     let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
     let mut remnant_ends = None;
     loop {
-        let authority = object::read_number(session, AUTHORITY)?;
+        let authority = object::read_number(session, WRITE_AUTHORITY)?;
         if authority == open && begin.elapsed() > SERVICE_SWITCH_TIMEOUT {
             bail!(
                 "close the service switch at the board (PB7 to ground): its calibration allows no write without \

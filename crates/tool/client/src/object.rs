@@ -38,7 +38,7 @@ pub const SOFTWARE_VERSION: ObjectAddress = find_address_by_name("Manufacturer s
 /// A hash of the number that its chip has from its factory.
 pub const SERIAL_NUMBER: ObjectAddress = find_address(EntryContent::SerialNumber);
 /// The offsets of X, Y and Z in nm; [`NOT_AVAILABLE`] where none is.
-pub const OFFSET: [ObjectAddress; 3] = [
+pub const OFFSETS: [ObjectAddress; 3] = [
     find_address(EntryContent::Offset(0)),
     find_address(EntryContent::Offset(1)),
     find_address(EntryContent::Offset(2)),
@@ -64,41 +64,42 @@ pub const CRASH_REGISTERS: [ObjectAddress; 5] = [
     find_address(EntryContent::CrashDetail(CrashDetail::Line)),
 ];
 /// The end of the name of a panic's file.
-pub const CRASH_FILE: ObjectAddress = find_address(EntryContent::CrashDetail(CrashDetail::File));
+pub const CRASH_FILE_NAME: ObjectAddress =
+    find_address(EntryContent::CrashDetail(CrashDetail::File));
 /// The task that ran when the last start stopped: a number of
 /// [`TASK_NAMES`], 0 if it is not known.
 pub const CRASH_TASK: ObjectAddress = find_address(EntryContent::CrashDetail(CrashDetail::Task));
 /// How often the board has started since power-on: the first of the reasons.
-pub const RESET_COUNT: ObjectAddress = find_address(EntryContent::Resets(0));
+pub const FIRST_RESET_COUNT: ObjectAddress = find_address(EntryContent::Resets(0));
 /// Frames of the CNC that were accepted.
 pub(crate) const ACCEPTED_FRAMES: ObjectAddress =
     find_address(EntryContent::ReceiverCounter(ReceiverCounter::Accepted));
 /// Who may write: a number of [`WriteAuthority`](trueup_canopen::dictionary::WriteAuthority).
-pub(crate) const AUTHORITY: ObjectAddress = find_address(EntryContent::Authority);
-/// The reference in force, in nm: the elongation, X, Y, Z. Written, they wait for [`REFERENCE_KEY`].
-pub(crate) const REFERENCE: [ObjectAddress; 4] = [
+pub(crate) const WRITE_AUTHORITY: ObjectAddress = find_address(EntryContent::Authority);
+/// The reference in force, in nm: the elongation, X, Y, Z. Written, they wait for [`REFERENCE_COMMAND`].
+pub(crate) const REFERENCE_COMPONENTS: [ObjectAddress; 4] = [
     find_address(EntryContent::ReferenceElongation),
     find_address(EntryContent::Reference(0)),
     find_address(EntryContent::Reference(1)),
     find_address(EntryContent::Reference(2)),
 ];
 /// Forgets the reference, or offers the operator the one that was written.
-pub(crate) const REFERENCE_KEY: ObjectAddress = find_address(EntryContent::Forget);
+pub(crate) const REFERENCE_COMMAND: ObjectAddress = find_address(EntryContent::Forget);
 /// Whether a reference is in force.
 pub(crate) const REFERENCE_ACTIVE: ObjectAddress = find_address(EntryContent::HasReference);
 /// The reference that is offered to the operator, in nm: the elongation, X, Y, Z; [`NOT_AVAILABLE`] where none is.
-pub(crate) const OFFERED_REFERENCE: [ObjectAddress; 4] = [
+pub(crate) const OFFERED_REFERENCE_COMPONENTS: [ObjectAddress; 4] = [
     find_address(EntryContent::OfferedElongation),
     find_address(EntryContent::Offered(0)),
     find_address(EntryContent::Offered(1)),
     find_address(EntryContent::Offered(2)),
 ];
 /// When the reference was taken, in force or offered: seconds since 1970 (UTC); 0: it is not known.
-pub(crate) const REFERENCE_UTC: ObjectAddress = find_address(EntryContent::ReferenceUtc);
+pub(crate) const REFERENCE_UTC_SECONDS: ObjectAddress = find_address(EntryContent::ReferenceUtc);
 /// By which kind of write and over which line: the lower byte and the one above it.
 pub(crate) const REFERENCE_ORIGIN: ObjectAddress = find_address(EntryContent::ReferenceOrigin);
 /// How long ago, in s; the largest number: it is not known.
-pub(crate) const REFERENCE_AGE: ObjectAddress = find_address(EntryContent::ReferenceAge);
+pub(crate) const REFERENCE_AGE_SECONDS: ObjectAddress = find_address(EntryContent::ReferenceAge);
 /// The learned values as they are applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED_VALUES: [ObjectAddress; PART_COUNT] = [
     find_address(EntryContent::Learned(0)),
@@ -125,7 +126,7 @@ pub const RUNNING_CRC: ObjectAddress = find_address(EntryContent::RunningCrc);
 pub const PENDING_CRC: ObjectAddress = find_address(EntryContent::NewCrc);
 
 /// Drops the calibration for the next start.
-pub(crate) const DROP_PENDING: ObjectAddress = find_address(EntryContent::DropNew);
+pub(crate) const DROP_PENDING_COMMAND: ObjectAddress = find_address(EntryContent::DropNew);
 /// Name of the machine that the running calibration is for.
 pub const MACHINE_NAME: ObjectAddress = find_address(EntryContent::MachineName);
 /// Serial number of that machine.
@@ -142,16 +143,16 @@ pub(crate) const FIRMWARE_IMAGE: ObjectAddress = find_address(EntryContent::Firm
 pub(crate) const FIRMWARE_BYTES_RECEIVED: ObjectAddress =
     find_address(EntryContent::FirmwareReceived);
 /// Tag of the firmware under way.
-pub(crate) const FIRMWARE_IMAGE_ID: ObjectAddress = find_address(EntryContent::FirmwareTag);
+pub(crate) const FIRMWARE_TAG: ObjectAddress = find_address(EntryContent::FirmwareTag);
 /// Why the last one was refused: a number of [`RefusalReason`](trueup_boot::refusal::RefusalReason), 0: it was not.
 pub(crate) const FIRMWARE_REFUSAL: ObjectAddress = find_address(EntryContent::FirmwareRefused);
 /// The firmware slot that runs: 0 A, 1 B.
 pub(crate) const RUNNING_SLOT: ObjectAddress = find_address(EntryContent::RunningSlot);
 /// The versions in slot A and B; 0: none.
-pub(crate) const SLOT_VERSION: [ObjectAddress; 2] =
+pub(crate) const SLOT_VERSIONS: [ObjectAddress; 2] =
     [find_address(EntryContent::SlotVersion(0)), find_address(EntryContent::SlotVersion(1))];
 /// The status of slot A and B in the lower byte, and starts on trial in the upper one.
-pub(crate) const SLOT_STATUS: [ObjectAddress; 2] =
+pub(crate) const SLOT_STATUSES: [ObjectAddress; 2] =
     [find_address(EntryContent::SlotStatus(0)), find_address(EntryContent::SlotStatus(1))];
 /// The oldest firmware version that may start.
 pub(crate) const MIN_FIRMWARE_VERSION: ObjectAddress = find_address(EntryContent::FirmwareFloor);
@@ -173,7 +174,7 @@ const MAX_TEXT_BYTES: u32 = 256;
 /// A transfer may last so long, and this for each byte more: a bridge that is emulated on a busy computer sends a segment of
 /// seven bytes in less than 0.35 s.
 const TRANSFER_BASE_TIMEOUT: Duration = Duration::from_secs(30);
-const TIMEOUT_PER_BYTE: Duration = Duration::from_millis(50);
+const TRANSFER_TIMEOUT_PER_BYTE: Duration = Duration::from_millis(50);
 
 /// Reads an object. `progress` receives how many bytes have come, and of how many.
 ///
@@ -197,17 +198,17 @@ fn read_at_most(
     mut progress: impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
     let mut read = read_once(session, at, most, &mut progress);
-    if read.as_ref().is_err_and(is_line_error) {
+    if read.as_ref().is_err_and(is_transmission_error) {
         session.send(&timeout_abort(at))?;
         read = read_once(session, at, most, &mut progress);
     }
-    if read.as_ref().is_err_and(is_length_error) {
+    if read.as_ref().is_err_and(is_transfer_left_open) {
         session.send(&timeout_abort(at))?;
     }
     read
 }
 
-fn is_length_error(error: &anyhow::Error) -> bool {
+fn is_transfer_left_open(error: &anyhow::Error) -> bool {
     error.is::<TransferTooSlow>()
         || matches!(
             error.downcast_ref(),
@@ -216,7 +217,7 @@ fn is_length_error(error: &anyhow::Error) -> bool {
 }
 
 /// Returns whether a frame may be lost, so that the same may be answered when it is asked for again.
-pub(crate) fn is_line_error(error: &anyhow::Error) -> bool {
+pub(crate) fn is_transmission_error(error: &anyhow::Error) -> bool {
     error.is::<ResponseTimeout>()
         || error.downcast_ref::<ClientError>().is_some_and(ClientError::is_transmission_error)
 }
@@ -227,13 +228,13 @@ fn read_once(
     most: u32,
     progress: &mut impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
-    let (mut upload, first) = Upload::start_with_limit(at, most);
+    let (mut upload, first) = Upload::start_with_size_limit(at, most);
     let mut bytes = Vec::new();
     let start = Instant::now();
     transfer(session, at, first, TimeoutPolicy::new, |frame| {
         let next = upload.receive(frame, &mut bytes)?;
         let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
-        if start.elapsed() > TRANSFER_BASE_TIMEOUT + TIMEOUT_PER_BYTE * count {
+        if start.elapsed() > TRANSFER_BASE_TIMEOUT + TRANSFER_TIMEOUT_PER_BYTE * count {
             return Err(TransferTooSlow(at, count).into());
         }
         progress(bytes.len(), upload.indicated_size());
@@ -316,7 +317,7 @@ pub(crate) fn block_download(
         }
         Ok((next, more))
     });
-    if !written.as_ref().is_err_and(is_block_unsupported) {
+    if !written.as_ref().is_err_and(is_block_transfer_unsupported) {
         return written;
     }
     let (mut download, first) = Download::start(at, data);
@@ -329,7 +330,7 @@ pub(crate) fn block_download(
     })
 }
 
-fn is_block_unsupported(error: &anyhow::Error) -> bool {
+fn is_block_transfer_unsupported(error: &anyhow::Error) -> bool {
     let command = AbortCode::Command.code();
     matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if *code == command)
 }

@@ -14,7 +14,7 @@ use crate::port::Port;
 /// The state of a connection in `/proc/net/tcp` that stands.
 const TCP_ESTABLISHED: &str = "01";
 /// The longest command line that is shown.
-const MAX_COMMAND_LENGTH: usize = 60;
+const MAX_COMMAND_LINE_CHARS: usize = 60;
 
 /// Returns the other program that holds the line to `port`: its command line and its number; `None`: none is known.
 #[must_use]
@@ -50,7 +50,7 @@ pub fn port_holder(port: &Port) -> Option<String> {
             None => name(&command),
         };
         let command: String =
-            escape_line(command.trim()).chars().take(MAX_COMMAND_LENGTH).collect();
+            escape_line(command.trim()).chars().take(MAX_COMMAND_LINE_CHARS).collect();
         format!("{command} (process {process})")
     })
 }

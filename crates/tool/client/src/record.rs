@@ -91,7 +91,7 @@ impl Recorder {
     /// measures a quantity has its column.
     ///
     /// # Errors
-    /// [`UnusableInput`]: they cannot be made here; [`trueup_machine::BadInput`]: the machine file. A disk
+    /// [`UnusableInput`]: they cannot be made here; [`trueup_machine::InputFileError`]: the machine file. A disk
     /// that is full.
     pub fn create(
         path: &Path,
@@ -194,7 +194,7 @@ impl Recorder {
             if self.gauge.is_some() {
                 row.push(',');
                 if let Some(um) = self.marked_um.take() {
-                    let cell = format_decimals(Some(um), 3);
+                    let cell = format_cell(Some(um), 3);
                     self.marks.push((self.run.length() + row.len() as u64, cell.len(), um));
                     row += &cell;
                 }
@@ -226,24 +226,23 @@ impl Recorder {
     }
 
     fn format_row(&self, output: &Output) -> String {
-        let mut cells = vec![format_decimals(Some(self.clock.ms as f64 / 1_000.0), 3)];
+        let mut cells = vec![format_cell(Some(self.clock.ms as f64 / 1_000.0), 3)];
         let offset = offset_um(output);
-        cells.extend((0..3).map(|axis| format_decimals(offset.map(|all| all[axis]), 2)));
+        cells.extend((0..3).map(|axis| format_cell(offset.map(|all| all[axis]), 2)));
         cells.push((output.quality as u8).to_string());
         cells.push(output.flags.0.to_string());
         cells.push(output.age_ms.to_string());
         cells.push(self.calibration.map(|crc| crc.to_string()).unwrap_or_default());
         let elongation_um = self.board.elongation_um();
         cells.push(match &self.columns.sensor {
-            Some(sensor) => format_decimals(
-                elongation_um.map(|um| sensor_counts_from_elongation(sensor, um)),
-                2,
-            ),
-            None => format_decimals(elongation_um, 3),
+            Some(sensor) => {
+                format_cell(elongation_um.map(|um| sensor_counts_from_elongation(sensor, um)), 2)
+            }
+            None => format_cell(elongation_um, 3),
         });
         cells.extend(self.columns.temperatures.iter().map(|(channel, _)| {
             let centi_c = self.board.centi_c.get(usize::from(*channel)).copied().flatten();
-            format_decimals(centi_c.map(|centi_c| f64::from(centi_c) / 100.0), 2)
+            format_cell(centi_c.map(|centi_c| f64::from(centi_c) / 100.0), 2)
         }));
         cells.extend(self.cnc.cells(self.clock.ms));
         let conditions = self.cnc.conditions(self.clock.ms);
@@ -311,7 +310,7 @@ impl Columns {
         ]
         .into_iter()
         .chain(temperatures)
-        .chain(cnc::COLUMNS)
+        .chain(cnc::CNC_COLUMNS)
         .chain(self.angles.each_ref().map(String::as_str))
         .chain([TOOL_COLUMN])
         .chain(self.conditions.iter().map(|(_, name)| name.as_str()))
@@ -350,7 +349,7 @@ fn candump_line(interface: &str, frame: &Frame, at: SystemTime) -> String {
     format!("({seconds:010}.{micros:06}) {interface} {:03X}#{data}", frame.id())
 }
 
-fn format_decimals(value: Option<f64>, decimals: usize) -> String {
+fn format_cell(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(String::new, |value| format!("{value:.decimals$}"))
 }
 

@@ -16,7 +16,7 @@ use crate::{
 pub type ReferenceNm = [i32; 4];
 
 /// Value of the object for the age where it is not known.
-const UNKNOWN_AGE: u32 = u32::MAX;
+const UNKNOWN_AGE_S: u32 = u32::MAX;
 
 /// The reference of a bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,9 +41,9 @@ impl BridgeReference {
     pub fn read(session: &mut Session) -> Result<Self> {
         let mut all = Self::default();
         if object::read_number(session, object::REFERENCE_ACTIVE)? != 0 {
-            all.in_force = Some(read_components(session, object::REFERENCE)?);
+            all.in_force = Some(read_components(session, object::REFERENCE_COMPONENTS)?);
         }
-        let offered = read_components(session, object::OFFERED_REFERENCE).ok();
+        let offered = read_components(session, object::OFFERED_REFERENCE_COMPONENTS).ok();
         all.offered = offered.filter(|nm| !nm.contains(&object::NOT_AVAILABLE));
         if all.in_force.is_none() && all.offered.is_none() {
             return Ok(all);
@@ -55,8 +55,9 @@ impl BridgeReference {
             let what = WriteKind::ALL.into_iter().find(|kind| *kind as u8 == what)?;
             Some((what, WriteOrigin::ALL.into_iter().find(|candidate| *candidate as u8 == origin)?))
         });
-        all.utc_s = optional(session, object::REFERENCE_UTC).filter(|utc_s| *utc_s != 0);
-        all.age_s = optional(session, object::REFERENCE_AGE).filter(|age_s| *age_s != UNKNOWN_AGE);
+        all.utc_s = optional(session, object::REFERENCE_UTC_SECONDS).filter(|utc_s| *utc_s != 0);
+        all.age_s = optional(session, object::REFERENCE_AGE_SECONDS)
+            .filter(|age_s| *age_s != UNKNOWN_AGE_S);
         if let (None, Some(utc_s), Some(now_s)) = (all.age_s, all.utc_s, unix_time_s()) {
             all.age_s = Some(now_s.saturating_sub(utc_s));
         }

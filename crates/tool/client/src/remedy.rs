@@ -103,13 +103,13 @@ mod tests {
     use super::*;
     use crate::state_text::{fault_names, flag_names};
     use trueup_canopen::emergency::Faults;
-    use trueup_core::cnc::Flags;
+    use trueup_core::cnc::OffsetFlags;
     use trueup_link::status::StateBits;
 
     #[test]
     fn every_word_has_its_remedy() {
         let states = StateBits::NAMES.map(|(_, word)| word);
-        for word in flag_names(Flags(0xFF))
+        for word in flag_names(OffsetFlags(0xFF))
             .into_iter()
             .chain(fault_names(Faults::from_words(u32::MAX, u32::MAX)))
             .chain(states)

@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde_json::{Value, json};
 use trueup_core::{
-    bridge::{Bridge, Reference},
+    bridge::{Bridge, ReferenceErrors},
     units::{FineNanometres, Nanometres as Nm},
 };
 use trueup_store::calibration::{calibration_crc, decode};
@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Name of the file's format.
-const FORMAT_NAME: &str = "trueup-bridge-1";
+const BACKUP_FORMAT_NAME: &str = "trueup-bridge-1";
 /// Keys of the parts of the reference in the file.
 const REFERENCE_KEYS: [&str; 4] = ["elongation_nm", "x_nm", "y_nm", "z_nm"];
 /// Keys that the checksum covers, in this order.
@@ -130,7 +130,7 @@ impl SavedBoard {
         let log = object::read(session, object::WRITE_LOG, |_, _| ()).unwrap_or_default();
         let owner = BoardIdentity::read(session)?;
         let mut all = json!({
-            "format": FORMAT_NAME,
+            "format": BACKUP_FORMAT_NAME,
             "device": text(session, object::DEVICE_NAME),
             "hardware": text(session, object::HARDWARE_VERSION),
             "software": text(session, object::SOFTWARE_VERSION),
@@ -164,8 +164,10 @@ impl SavedBoard {
     pub fn parse(text: &str) -> Result<Self, String> {
         let all: Value = serde_json::from_str(text)
             .map_err(|error| format!("is not what bridge save writes: {error}"))?;
-        if all["format"] != FORMAT_NAME {
-            return Err(format!("is not what bridge save writes: format is not {FORMAT_NAME}"));
+        if all["format"] != BACKUP_FORMAT_NAME {
+            return Err(format!(
+                "is not what bridge save writes: format is not {BACKUP_FORMAT_NAME}"
+            ));
         }
         let blob = all["calibration"].as_str().and_then(decode_hex);
         let calibration = blob.ok_or("the calibration is not in hexadecimal digits")?;
@@ -224,7 +226,7 @@ fn is_reference_permitted(bridge: &Bridge<'_>, nm: ReferenceNm) -> bool {
     let [elongation, axes @ ..] = nm;
     let fine = |nm: i32| nm.checked_mul(FineNanometres::PER_NANOMETRE).map(FineNanometres);
     let [Some(x), Some(y), Some(z)] = axes.map(fine) else { return false };
-    bridge.is_reference_permitted(&Reference { elongation: Nm(elongation), axes: [x, y, z] })
+    bridge.is_reference_permitted(&ReferenceErrors { elongation: Nm(elongation), axes: [x, y, z] })
 }
 
 /// Of what goes back into a board, eight hexadecimal digits.

@@ -27,7 +27,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 /// How long a bridge that restarts may take until it has opened its channel again, and for each
 /// of the tries meanwhile.
 const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
-const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
+const OPEN_ATTEMPT_TIMEOUT: Duration = Duration::from_millis(500);
 /// From one `Control` with `Service` to the next: a fifth of the link timeout that is usual.
 const SERVICE_PERIOD: Duration = Duration::from_millis(100);
 /// The lines in [`client::OPEN_SEQUENCE`], each of which a bridge answers.
@@ -107,7 +107,7 @@ impl Session {
     pub(crate) fn reopen(&mut self) -> Result<()> {
         let deadline = Instant::now() + RESTART_TIMEOUT;
         loop {
-            match self.open_channel(RETRY_TIMEOUT) {
+            match self.open_channel(OPEN_ATTEMPT_TIMEOUT) {
                 Err(error) if Instant::now() > deadline => return Err(error),
                 Err(_) => {}
                 Ok(()) => return Ok(()),
@@ -136,7 +136,7 @@ impl Session {
             let look = if is_one_by_one {
                 start + timeout
             } else {
-                start + (DRAIN_TIMEOUT + RETRY_TIMEOUT).min(timeout)
+                start + (DRAIN_TIMEOUT + OPEN_ATTEMPT_TIMEOUT).min(timeout)
             };
             match self.next_event(look)? {
                 Some(Event::Accepted) => (answers, is_refused) = (answers + 1, false),

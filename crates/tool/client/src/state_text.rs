@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use trueup_canopen::emergency::{Fault, Faults};
 use trueup_core::{
-    cnc::{Flags, Output, Quality},
+    cnc::{OffsetFlags, OffsetQuality, Output},
     units::{NANOMETRES_PER_MICROMETRE, Nanometres},
 };
 use trueup_link::{frames::NmtState, status::StateBits};
@@ -12,15 +12,15 @@ use crate::operator_questions::open_questions;
 
 /// Returns a quality in a word.
 #[must_use]
-pub fn quality_name(quality: Quality) -> &'static str {
+pub fn quality_name(quality: OffsetQuality) -> &'static str {
     match quality {
-        Quality::Off => "off",
-        Quality::Live => "live",
-        Quality::TemperatureModel => "temperature-model",
-        Quality::WarmUpModel => "warm-up-model",
-        Quality::Hold => "hold",
-        Quality::RampingOut => "ramping-out",
-        Quality::Fault => "fault",
+        OffsetQuality::Off => "off",
+        OffsetQuality::Live => "live",
+        OffsetQuality::TemperatureModel => "temperature-model",
+        OffsetQuality::WarmUpModel => "warm-up-model",
+        OffsetQuality::Hold => "hold",
+        OffsetQuality::RampingOut => "ramping-out",
+        OffsetQuality::Fault => "fault",
     }
 }
 
@@ -29,13 +29,13 @@ pub fn quality_name(quality: Quality) -> &'static str {
 /// that it runs on, 0 for none.
 #[must_use]
 pub fn pending_action(
-    quality: Quality,
+    quality: OffsetQuality,
     state: StateBits,
     calibration: Option<u32>,
 ) -> Option<&'static str> {
     let dead = [StateBits::EXAMPLE_CONSTANTS, StateBits::SELF_TEST_FAILED];
     let is_dead = calibration == Some(0) || dead.into_iter().any(|bit| state.contains(bit));
-    if quality != Quality::Fault || is_dead {
+    if quality != OffsetQuality::Fault || is_dead {
         return None;
     }
     if open_questions(state).iter().any(|(word, _)| *word != "heat-unknown") {
@@ -46,16 +46,16 @@ pub fn pending_action(
 
 /// Returns the flags that are set, in words.
 #[must_use]
-pub fn flag_names(flags: Flags) -> Vec<&'static str> {
-    const FLAG_NAMES: [(Flags, &str); 8] = [
-        (Flags::CLAMPED, "clamped"),
-        (Flags::SLEWING, "slewing"),
-        (Flags::SENSOR_FAULT, "sensor-fault"),
-        (Flags::SAMPLES_MISSING, "samples-missing"),
-        (Flags::CNC_LOST, "cnc-lost"),
-        (Flags::SPEED_UNKNOWN, "speed-unknown"),
-        (Flags::OUTSIDE_TABLE, "outside-table"),
-        (Flags::BOARD_DEGRADED, "board-degraded"),
+pub fn flag_names(flags: OffsetFlags) -> Vec<&'static str> {
+    const FLAG_NAMES: [(OffsetFlags, &str); 8] = [
+        (OffsetFlags::CLAMPED, "clamped"),
+        (OffsetFlags::SLEWING, "slewing"),
+        (OffsetFlags::SENSOR_FAULT, "sensor-fault"),
+        (OffsetFlags::SAMPLES_MISSING, "samples-missing"),
+        (OffsetFlags::CNC_LOST, "cnc-lost"),
+        (OffsetFlags::SPEED_UNKNOWN, "speed-unknown"),
+        (OffsetFlags::OUTSIDE_TABLE, "outside-table"),
+        (OffsetFlags::BOARD_DEGRADED, "board-degraded"),
     ];
     FLAG_NAMES.into_iter().filter(|(flag, _)| flags.contains(*flag)).map(|(_, word)| word).collect()
 }
@@ -135,25 +135,28 @@ mod tests {
 
     #[test]
     fn every_bit_of_the_flags_has_a_word() {
-        assert_eq!(flag_names(Flags(0xFF)).len(), 8);
+        assert_eq!(flag_names(OffsetFlags(0xFF)).len(), 8);
         assert_eq!(fault_names(Faults::from_words(0x2001, 0)), ["no-calibration", "store"]);
         assert_eq!(fault_names(Faults::from_words(u32::MAX, u32::MAX)).len(), Fault::ALL.len());
-        assert_eq!(flag_names(Flags::NONE), [""; 0]);
-        assert_eq!(flag_names(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
+        assert_eq!(flag_names(OffsetFlags::NONE), [""; 0]);
+        assert_eq!(
+            flag_names(OffsetFlags::SLEWING.with(OffsetFlags::CNC_LOST)),
+            ["slewing", "cnc-lost"]
+        );
     }
 
     #[test]
     fn a_bridge_that_waits_is_distinguished_from_one_with_a_fault() {
         let of = |quality, bits, crc| pending_action(quality, StateBits(bits), crc);
         // Restarted; with a reference that is offered; and what no engage sequence mends.
-        assert_eq!(of(Quality::Fault, 1, Some(7)), Some("engage"));
-        assert_eq!(of(Quality::Fault, 1 | 1 << 17, Some(7)), Some("confirm"));
+        assert_eq!(of(OffsetQuality::Fault, 1, Some(7)), Some("engage"));
+        assert_eq!(of(OffsetQuality::Fault, 1 | 1 << 17, Some(7)), Some("confirm"));
         for (quality, bits, crc) in [
-            (Quality::Fault, 0, Some(7)),
-            (Quality::Fault, 1, Some(0)),
-            (Quality::Fault, 1 | 1 << 3, Some(7)),
-            (Quality::Fault, 1 | 1 << 14, Some(7)),
-            (Quality::Off, 1, Some(7)),
+            (OffsetQuality::Fault, 0, Some(7)),
+            (OffsetQuality::Fault, 1, Some(0)),
+            (OffsetQuality::Fault, 1 | 1 << 3, Some(7)),
+            (OffsetQuality::Fault, 1 | 1 << 14, Some(7)),
+            (OffsetQuality::Off, 1, Some(7)),
         ] {
             assert_eq!(of(quality, bits, crc), None, "{bits}");
         }
@@ -163,8 +166,8 @@ mod tests {
     fn offsets_are_reported_in_micrometres_with_the_resolution_of_the_wire() {
         let mut output = Output {
             offset: Some([0, -10, 62_800].map(Nanometres)),
-            quality: Quality::Live,
-            flags: Flags::SLEWING,
+            quality: OffsetQuality::Live,
+            flags: OffsetFlags::SLEWING,
             age_ms: 1,
         };
         assert_eq!(

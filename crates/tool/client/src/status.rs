@@ -7,7 +7,7 @@ use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
     receiver::StatusReceiver,
-    status::{FrameRejectReason, Item, ResetReason, StateBits},
+    status::{FrameRejectReason, ResetReason, StateBits, StatusItem},
 };
 
 use crate::state_text::{fault_names, state_names, to_micrometres};
@@ -40,31 +40,33 @@ pub struct BoardStatus {
 impl BoardStatus {
     /// Takes a frame from the bus, and returns what it is about; `None`: it is no status, or cannot be used, which is
     /// counted.
-    pub fn receive(&mut self, frame: &Frame) -> Option<Item> {
+    pub fn receive(&mut self, frame: &Frame) -> Option<StatusItem> {
         if frame.id() != STATUS_ID {
             return None;
         }
         let status = self.receiver.accept(frame).ok()?;
         self.last_refused = status.last_refused;
         match status.item {
-            Item::Temperatures { pair, centi_c } => {
+            StatusItem::Temperatures { pair, centi_c } => {
                 let both = self.centi_c.iter_mut().skip(2 * usize::from(pair));
                 both.zip(centi_c).for_each(|(place, new)| *place = new);
             }
-            Item::Elongation(elongation) => self.elongation = elongation,
-            Item::Refused { damaged, out_of_sequence } => {
+            StatusItem::Elongation(elongation) => self.elongation = elongation,
+            StatusItem::Refused { damaged, out_of_sequence } => {
                 (self.damaged, self.out_of_sequence) = (damaged, out_of_sequence);
             }
-            Item::Received { malformed, lost } => (self.malformed, self.lost) = (malformed, lost),
-            Item::Board { noise_thousandths, faults } => {
+            StatusItem::Received { malformed, lost } => {
+                (self.malformed, self.lost) = (malformed, lost)
+            }
+            StatusItem::Board { noise_thousandths, faults } => {
                 (self.noise_thousandths, self.faults) = (noise_thousandths, faults);
             }
-            Item::State(state) => self.state = state,
-            Item::Reset { reason, free_stack } => {
+            StatusItem::State(state) => self.state = state,
+            StatusItem::Reset { reason, free_stack } => {
                 (self.reset_reason, self.free_stack) = (reason, Some(free_stack));
             }
-            Item::Calibration(crc) => self.calibration = Some(crc),
-            Item::Slope { axis, constant, slope } => {
+            StatusItem::Calibration(crc) => self.calibration = Some(crc),
+            StatusItem::Slope { axis, constant, slope } => {
                 if let Some(place) = self.slopes.get_mut(usize::from(axis)) {
                     *place = constant.map(|constant| (constant, slope));
                 }
@@ -89,7 +91,7 @@ impl BoardStatus {
 
     /// Frames of the CNC that the board has refused: damaged, out of sequence, malformed.
     #[must_use]
-    pub const fn rejected_cnc_frames(&self) -> [u16; 3] {
+    pub const fn rejected_cnc_frame_counts(&self) -> [u16; 3] {
         [self.damaged, self.out_of_sequence, self.malformed]
     }
 
@@ -101,7 +103,7 @@ impl BoardStatus {
 
     /// Status frames that were damaged or out of order.
     #[must_use]
-    pub fn rejected_frame_count(&self) -> u32 {
+    pub fn rejected_status_frame_count(&self) -> u32 {
         let counters = self.receiver.counters();
         counters
             .crc_errors
@@ -163,13 +165,13 @@ impl BoardStatus {
                 "out_of_sequence": self.out_of_sequence,
                 "malformed": self.malformed,
                 "lost": self.lost,
-                "last_refused": reason_name(self.last_refused),
+                "last_refused": reject_reason_name(self.last_refused),
             },
         })
     }
 }
 
-fn reason_name(reason: FrameRejectReason) -> Option<&'static str> {
+fn reject_reason_name(reason: FrameRejectReason) -> Option<&'static str> {
     match reason {
         FrameRejectReason::None => None,
         FrameRejectReason::Malformed => Some("malformed"),
@@ -188,14 +190,14 @@ mod tests {
     fn the_newest_of_each_item_is_reported() {
         let mut board = BoardStatus::default();
         let items = [
-            Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
-            Item::Temperatures { pair: 3, centi_c: [None, Some(-50)] },
-            Item::Elongation(Some(Nanometres(62_805))),
-            Item::Refused { damaged: 2, out_of_sequence: 0 },
-            Item::Board { noise_thousandths: 1_041, faults: 1 << 3 },
-            Item::State(StateBits::RESTARTED),
-            Item::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 },
-            Item::Calibration(0xF4AC_FB13),
+            StatusItem::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
+            StatusItem::Temperatures { pair: 3, centi_c: [None, Some(-50)] },
+            StatusItem::Elongation(Some(Nanometres(62_805))),
+            StatusItem::Refused { damaged: 2, out_of_sequence: 0 },
+            StatusItem::Board { noise_thousandths: 1_041, faults: 1 << 3 },
+            StatusItem::State(StateBits::RESTARTED),
+            StatusItem::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 },
+            StatusItem::Calibration(0xF4AC_FB13),
         ];
         for (counter, item) in (0..).zip(items) {
             board.receive(&encode(
@@ -218,8 +220,11 @@ mod tests {
         assert_eq!(json["from_cnc"]["last_refused"], json!("damaged"));
         // A repetition changes nothing and is counted.
         let repeated =
-            Status { last_refused: FrameRejectReason::None, item: Item::Elongation(None) };
+            Status { last_refused: FrameRejectReason::None, item: StatusItem::Elongation(None) };
         board.receive(&encode(&repeated, 7));
-        assert_eq!((board.elongation, board.rejected_frame_count()), (Some(Nanometres(62_805)), 1));
+        assert_eq!(
+            (board.elongation, board.rejected_status_frame_count()),
+            (Some(Nanometres(62_805)), 1)
+        );
     }
 }

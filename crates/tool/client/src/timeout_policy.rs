@@ -7,7 +7,7 @@
 //!
 //! | given up after | where |
 //! |---|---|
-//! | [`MIN`], and [`MAX_HEARTBEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
+//! | [`MIN`], and [`MIN_HEARTBEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
 //! | [`MAX_SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
 //! | [`ERASE_TIMEOUT`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
 
@@ -16,14 +16,14 @@ use std::time::{Duration, Instant};
 /// How long each look at the line may take. A look that took longer was one at which we slept.
 pub const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Heartbeats of a bridge that has had its time: 2 s of it.
-const MAX_HEARTBEATS: u32 = 20;
+const MIN_HEARTBEATS: u32 = 20;
 /// The same by the clock, for heartbeats that have waited in a buffer all at once.
 const MIN_LISTENING_TIME: Duration = Duration::from_secs(2);
 /// The longest wait without any heartbeat.
 const MAX_SILENCE: Duration = Duration::from_secs(5);
 /// The same of a bridge that erases two sectors of 128 KB meanwhile: 4 s at most by the data sheet of its chip, and as
 /// much again for one that is emulated, or waits for its CNC.
-const ERASE_TIMEOUT: Duration = Duration::from_secs(12);
+const MAX_ERASE_SILENCE: Duration = Duration::from_secs(12);
 
 /// The patience of one question.
 pub(crate) struct TimeoutPolicy {
@@ -45,7 +45,7 @@ impl TimeoutPolicy {
 
     /// As [`Self::from`], of a bridge that may erase a firmware slot first.
     pub(crate) fn for_flash_erase(now: Instant) -> Self {
-        Self { silence: ERASE_TIMEOUT, ..Self::new(now) }
+        Self { silence: MAX_ERASE_SILENCE, ..Self::new(now) }
     }
 
     /// A look at the line ends now; whether it has brought a heartbeat.
@@ -60,7 +60,7 @@ impl TimeoutPolicy {
     /// Returns whether no answer is to be expected any more.
     pub(crate) fn is_expired(&self) -> bool {
         self.silent >= self.silence
-            || self.listened >= MIN_LISTENING_TIME && self.beats >= MAX_HEARTBEATS
+            || self.listened >= MIN_LISTENING_TIME && self.beats >= MIN_HEARTBEATS
     }
 
     /// Returns how long has been listened.

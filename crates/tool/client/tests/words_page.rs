@@ -7,7 +7,7 @@ use trueup_client::{
     remedy::REMEDIES,
     state_text::{fault_names, flag_names, quality_name, state_names},
 };
-use trueup_core::cnc::{Flags, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality};
 use trueup_link::status::{ResetReason, StateBits};
 
 const PAGE: &str = include_str!("../../../../docs/book/src/words.md");
@@ -26,10 +26,10 @@ fn words(section: &str) -> BTreeSet<&'static str> {
 
 #[test]
 fn every_word_on_the_screen_is_on_the_page_and_no_other() {
-    use Quality::{Fault, Hold, Live, Off, RampingOut, TemperatureModel, WarmUpModel};
+    use OffsetQuality::{Fault, Hold, Live, Off, RampingOut, TemperatureModel, WarmUpModel};
     let qualities = [Off, Live, TemperatureModel, WarmUpModel, Hold, RampingOut, Fault];
     assert_eq!(words("## Quality"), qualities.map(quality_name).into());
-    assert_eq!(words("## Flags"), flag_names(Flags(u8::MAX)).into_iter().collect());
+    assert_eq!(words("## Flags"), flag_names(OffsetFlags(u8::MAX)).into_iter().collect());
     let conditions = fault_names(Faults::from_words(u32::MAX, u32::MAX))
         .into_iter()
         .chain(state_names(StateBits(u32::MAX)));

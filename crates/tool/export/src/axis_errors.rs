@@ -11,10 +11,10 @@ use trueup_machine::{
     Machine,
     effect::{BoardTerm, Effect, Input, PredictionStage},
     file::{BSpline, Backlash, LinearAxis, PitchErrorTable, Squareness, Term},
-    model::{backlash_um, pitch_um, spline_um, squareness_um},
+    model::{backlash_um, pitch_error_um, spline_value_um, squareness_error_um},
 };
 
-use crate::{ExportOptions, Format, report::Approach};
+use crate::{ExportFormat, ExportOptions, report::Approach};
 
 /// A period of a periodic error is looked at in this many parts.
 const SAMPLES_PER_PERIOD: f64 = 32.0;
@@ -60,7 +60,7 @@ impl DriveError<'_> {
         let terms = self.terms.iter().map(|(_, term)| {
             own_axis_effect_um(&term.effect, position_mm, approach) + term.constant_um
         });
-        self.pitch.map_or(0.0, |pitch| pitch_um(pitch, position_mm, direction))
+        self.pitch.map_or(0.0, |pitch| pitch_error_um(pitch, position_mm, direction))
             + self.backlash.map_or(0.0, |backlash| backlash_um(backlash, direction))
             + terms.sum::<f64>()
     }
@@ -89,7 +89,7 @@ impl DriveError<'_> {
     }
 
     /// Returns whether it depends on the position.
-    pub(crate) fn has_table(&self) -> bool {
+    pub(crate) fn is_position_dependent(&self) -> bool {
         !self.breakpoints_mm().is_empty()
     }
 
@@ -112,7 +112,7 @@ impl DriveError<'_> {
 
     /// Returns whether it bends between its points, so that they are a choice.
     pub(crate) fn is_curved(&self) -> bool {
-        self.terms.iter().any(|(_, term)| term.effect.is_wave())
+        self.terms.iter().any(|(_, term)| term.effect.has_spatial_period())
     }
 
     /// Beyond the ends a table is held, as a control's is; what goes on and on is not.
@@ -230,14 +230,17 @@ fn input_column(effect: &Effect) -> Option<&str> {
 }
 
 /// Returns the angles and lines that the tables of a control cannot hold, each with the reason.
-pub(crate) fn unsupported_volume_terms(machine: &Machine, format: Format) -> Vec<(String, String)> {
+pub(crate) fn unsupported_volume_terms(
+    machine: &Machine,
+    format: ExportFormat,
+) -> Vec<(String, String)> {
     let mut omitted = Vec::new();
     const LEVER_ARM_REASON: &str = "an angle acts by its lever along other axes, which no table of one axis holds; the bridge corrects it";
     const LEVER_ARM_REASON_840D: &str = "an angle acts by its lever along other axes, which no $AN_CEC table of one axis holds. The \
                            volumetric compensation of the 840D (VCS) could: no public description of its file was found, \
                            so none is written; the bridge corrects it";
     let by_lever =
-        if format == Format::Siemens840d { LEVER_ARM_REASON_840D } else { LEVER_ARM_REASON };
+        if format == ExportFormat::Siemens840d { LEVER_ARM_REASON_840D } else { LEVER_ARM_REASON };
     const ROTARY_AXIS_REASON: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
                         transformation data); the bridge corrects it";
     let angles = machine.volume.angular.iter();
@@ -291,11 +294,10 @@ impl<'m> CrossAxisError<'m> {
     /// Its error in µm.
     pub fn error_um(&self, along_mm: f64) -> f64 {
         let (error, along) = (self.error, self.along);
-        let angles = self
-            .angles
-            .iter()
-            .map(|&(_, um_per_m)| squareness_um(&Squareness { error, along, um_per_m }, along_mm));
-        self.splines.iter().map(|(_, spline)| spline_um(spline, along_mm)).sum::<f64>()
+        let angles = self.angles.iter().map(|&(_, um_per_m)| {
+            squareness_error_um(&Squareness { error, along, um_per_m }, along_mm)
+        });
+        self.splines.iter().map(|(_, spline)| spline_value_um(spline, along_mm)).sum::<f64>()
             + angles.sum::<f64>()
             + self.constant_um
     }

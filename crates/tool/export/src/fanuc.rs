@@ -243,7 +243,7 @@ fn plan_axis<'m>(
 impl AxisCompensation<'_> {
     /// Rounds the sums and takes their differences; `false` if one of them is above 7.
     fn compute_tables(&mut self, options: &ExportOptions) -> bool {
-        let Some(drive) = self.drive.as_ref().filter(|drive| drive.has_table()) else {
+        let Some(drive) = self.drive.as_ref().filter(|drive| drive.is_position_dependent()) else {
             self.tables = vec![vec![0; self.points.section_count()]];
             return true;
         };

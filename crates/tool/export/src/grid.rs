@@ -13,7 +13,7 @@
 //! until the path has N points: the least largest deviation among all choices that keep both ends,
 //! to 1 part in 10⁶ or 10⁻⁹ µm. Several columns that share their positions each have their cone.
 
-use crate::report::{Approach, Difference};
+use crate::report::{Approach, LargestDifference};
 
 /// This many positions at least are compared in each direction.
 const MIN_COMPARISON_POSITIONS: usize = 4000;
@@ -199,8 +199,8 @@ pub(crate) fn find_largest_residual(
     comparison_positions_mm: &[f64],
     error_um: impl Fn(f64, Approach) -> f64,
     correction_um: impl Fn(f64, Approach) -> f64,
-) -> Difference {
-    let mut largest = Difference::NONE;
+) -> LargestDifference {
+    let mut largest = LargestDifference::NONE;
     for approach in Approach::BOTH {
         for &mm in comparison_positions_mm {
             let left = correction_um(mm, approach) + error_um(mm, approach);

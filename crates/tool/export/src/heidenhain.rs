@@ -28,7 +28,7 @@ use crate::{
     },
     linuxcnc::omit_thermal_terms,
     number_format::format_signed,
-    report::{Approach, Difference},
+    report::{Approach, LargestDifference},
 };
 
 /// The most entries of a table.
@@ -230,7 +230,7 @@ fn export_moving_axis(
         }
     };
     let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
-    let mut largest = Difference::NONE;
+    let mut largest = LargestDifference::NONE;
     if let Some(drive) = own {
         let read_back = |mm, approach| {
             let column = if approach == Approach::Negative { "BACKLASH" } else { &of.key };

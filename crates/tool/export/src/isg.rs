@@ -18,8 +18,8 @@ use std::fmt::Write as _;
 
 use trueup_machine::{
     Machine,
-    file::{Angle, Chain, LinearAxis, RotaryAxis},
-    model::spline_um,
+    file::{AngleProfile, AxisChain, LinearAxis, RotaryAxis},
+    model::spline_value_um,
 };
 
 use crate::{
@@ -30,7 +30,7 @@ use crate::{
     grid::{interpolate_linear, select_breakpoints},
     linuxcnc::omit_thermal_terms,
     number_format::format_number,
-    report::{Approach, Difference},
+    report::{Approach, LargestDifference},
 };
 
 /// The names of the two files.
@@ -41,14 +41,14 @@ const MAX_ROWS: usize = 2_000;
 /// The lines between the rows are kept this near, in µm, angles at a lever of 1 m.
 const THINNING_TOLERANCE_UM: f64 = 0.02;
 /// A travel is looked at in this many equal parts before its best points are chosen.
-const CANDIDATE_COUNT: u32 = 1_000;
+const CANDIDATE_INTERVALS: u32 = 1_000;
 /// Offsets to 0.01 nm, angles to 10⁻¹¹ rad, positions to 0.1 nm.
 const OFFSET_DECIMALS: usize = 8;
 const ANGLE_DECIMALS: usize = 11;
 const POSITION_DECIMALS: usize = 7;
 
 /// The assumptions that no description confirms, and how to try them: part of the report and of the file itself.
-const ASSUMPTIONS: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has \
+const ASSUMPTIONS_NOTE: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has \
     them, without negate, and angles act about machine zero. A wrong sign doubles the errors";
 const VERIFICATION_HINT: &str = "before cutting: read an indicator at the point where the file \
     has its largest value, compensation off, then on. The error must go; if it doubles, set \
@@ -135,8 +135,8 @@ impl ComponentErrors<'_> {
         let mut urad = [0.0; 3];
         for angular in self.machine.volume.angular.iter().filter(|error| error.along == self.axis) {
             urad[angular.about.index()] = match &angular.angle {
-                Angle::Line(urad_per_m) => urad_per_m * mm / 1000.0,
-                Angle::Curve(spline) => spline_um(spline, mm),
+                AngleProfile::Line(urad_per_m) => urad_per_m * mm / 1000.0,
+                AngleProfile::Curve(spline) => spline_value_um(spline, mm),
             };
         }
         // From the point where they are stated to zero: δ − ε × P.
@@ -156,12 +156,12 @@ impl ComponentErrors<'_> {
 
     /// Returns where it may bend, in mm, rising.
     fn candidate_positions_mm(&self, (first, last): (f64, f64)) -> Vec<f64> {
-        let part = |n: u32| first + (last - first) * f64::from(n) / f64::from(CANDIDATE_COUNT);
-        let mut all: Vec<f64> = (0..=CANDIDATE_COUNT).map(part).collect();
+        let part = |n: u32| first + (last - first) * f64::from(n) / f64::from(CANDIDATE_INTERVALS);
+        let mut all: Vec<f64> = (0..=CANDIDATE_INTERVALS).map(part).collect();
         all.extend(self.drive.iter().flat_map(|error| error.breakpoints_mm()));
         all.extend(self.cross_axis_errors.iter().flat_map(|error| error.knot_positions_mm()));
         for angular in self.machine.volume.angular.iter().filter(|error| error.along == self.axis) {
-            if let Angle::Curve(spline) = &angular.angle {
+            if let AngleProfile::Curve(spline) = &angular.angle {
                 all.extend(&spline.knots_mm);
             }
         }
@@ -181,7 +181,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     let (all_drives, all_crosses) =
         (collect_drive_errors(machine, options), collect_cross_axis_errors(machine));
     let mut text = format!(
-        "// volumetric compensation of {}: errors, mm and rad over mm\n// {ASSUMPTIONS}\n// {VERIFICATION_HINT}\n",
+        "// volumetric compensation of {}: errors, mm and rad over mm\n// {ASSUMPTIONS_NOTE}\n// {VERIFICATION_HINT}\n",
         machine.name.escape_default()
     );
     let mut blocks = 0;
@@ -236,7 +236,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     export
         .report
         .add_note("take the tables of pitch and straightness out of the axes: this file has them");
-    export.report.add_note(ASSUMPTIONS);
+    export.report.add_note(ASSUMPTIONS_NOTE);
     export.report.add_note(VERIFICATION_HINT);
 }
 
@@ -250,8 +250,8 @@ fn axis_travel_mm(
     let known = options.travel_mm[axis.index()].or(own);
     let angles = machine.volume.angular.iter().filter(|error| error.along == axis);
     let knots = angles.filter_map(|motion| match &motion.angle {
-        Angle::Curve(spline) => Some((*spline.knots_mm.first()?, *spline.knots_mm.last()?)),
-        Angle::Line(_) => None,
+        AngleProfile::Curve(spline) => Some((*spline.knots_mm.first()?, *spline.knots_mm.last()?)),
+        AngleProfile::Line(_) => None,
     });
     let reached = travel_mm(machine, options, axis).into_iter().chain(knots);
     known.or_else(|| reached.reduce(|(a, b), (c, d)| (a.min(c), b.max(d))))
@@ -292,7 +292,7 @@ fn add_error_table(
         let (offsets, angles) = ([x, y, z].map(offset).join(" "), [a, b, c].map(angle).join(" "));
         writeln!(block, "{place} {offsets} {angles}").expect("a string takes everything");
     }
-    let mut largest = Difference::NONE;
+    let mut largest = LargestDifference::NONE;
     if let Ok(read) = parse(&block) {
         for (mm, row) in places.iter().zip(&values) {
             for (n, name) in names.iter().enumerate() {
@@ -322,7 +322,7 @@ fn add_error_table(
 /// Writes the tool tip and the lines of the rotary axes. Returns how many of these are off.
 fn add_rotary_axis_lines(
     machine: &Machine,
-    chain: &Chain,
+    chain: &AxisChain,
     text: &mut String,
     export: &mut Export,
 ) -> usize {
@@ -365,7 +365,7 @@ fn add_rotary_axis_lines(
 }
 
 /// Returns the compensation list: the axes from the workpiece to the tool, and the file.
-fn format_compensation_list(chain: &Chain) -> String {
+fn format_compensation_list(chain: &AxisChain) -> String {
     let letters = |axis: &str| axis.to_uppercase();
     let table = chain.table.iter().rev().map(|axis| letters(axis.name()));
     let linear = chain.linear.iter().map(|axis| letters(axis.name()));

@@ -40,11 +40,11 @@ use std::{borrow::Cow, collections::BTreeMap};
 use thiserror::Error;
 use trueup_machine::{Machine, model::apply_constant_terms};
 
-pub use report::{Approach, Difference, ExportReport, ExportedTable, OmittedSection};
+pub use report::{Approach, ExportReport, ExportedTable, LargestDifference, OmittedSection};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub enum ExportFormat {
     /// Siemens SINUMERIK 840D sl.
     Siemens840d,
     /// FANUC with stored pitch error compensation.
@@ -57,7 +57,7 @@ pub enum Format {
     Isg,
 }
 
-impl Format {
+impl ExportFormat {
     /// All of them.
     pub const ALL: [Self; 5] =
         [Self::Siemens840d, Self::Fanuc, Self::Heidenhain, Self::LinuxCnc, Self::Isg];
@@ -168,18 +168,18 @@ pub struct Export {
 pub enum ExportError {
     /// The model has no errors.
     #[error("the model has no errors, so there is nothing to export to {}", .0.name())]
-    NoErrors(Format),
+    NoErrors(ExportFormat),
     /// Nothing of the model can be held by the control.
-    #[error("nothing of the model can be held by {}{}", .format.name(), format_reasons(.omitted))]
+    #[error("nothing of the model can be held by {}{}", .format.name(), format_omitted_sections(.omitted))]
     NothingFits {
         /// The control that cannot hold it.
-        format: Format,
+        format: ExportFormat,
         /// The sections of the model, each with the reason; at least one.
         omitted: Vec<OmittedSection>,
     },
 }
 
-fn format_reasons(omitted: &[OmittedSection]) -> String {
+fn format_omitted_sections(omitted: &[OmittedSection]) -> String {
     omitted
         .iter()
         .map(|OmittedSection { section, reason }| format!("; {section}: {reason}"))
@@ -192,7 +192,7 @@ fn format_reasons(omitted: &[OmittedSection]) -> String {
 /// The model has no errors, or nothing of it can be held.
 pub fn export(
     machine: &Machine,
-    format: Format,
+    format: ExportFormat,
     options: &ExportOptions,
 ) -> Result<Export, ExportError> {
     // Some terms of a diagnosis say which constants of the model are right.
@@ -204,18 +204,18 @@ pub fn export(
     let mut export =
         Export { files: Vec::new(), report: ExportReport::new(format, &machine.name, options) };
     let mut omitted = axis_errors::unsupported_terms(machine, options);
-    if format != Format::Isg {
+    if format != ExportFormat::Isg {
         omitted.extend(axis_errors::unsupported_volume_terms(machine, format));
     }
     for (section, reason) in omitted {
         export.report.add_omitted_section(section, reason);
     }
     match format {
-        Format::Siemens840d => siemens::export(machine, options, &mut export),
-        Format::Fanuc => fanuc::export(machine, options, &mut export),
-        Format::Heidenhain => heidenhain::export(machine, options, &mut export),
-        Format::LinuxCnc => linuxcnc::export(machine, options, &mut export),
-        Format::Isg => isg::export(machine, options, &mut export),
+        ExportFormat::Siemens840d => siemens::export(machine, options, &mut export),
+        ExportFormat::Fanuc => fanuc::export(machine, options, &mut export),
+        ExportFormat::Heidenhain => heidenhain::export(machine, options, &mut export),
+        ExportFormat::LinuxCnc => linuxcnc::export(machine, options, &mut export),
+        ExportFormat::Isg => isg::export(machine, options, &mut export),
     }
     if !export.files.is_empty() {
         return Ok(export);

@@ -71,7 +71,7 @@ pub fn parse(text: &str) -> Result<CompensationTable, String> {
 impl CompensationTable {
     /// Returns what is added to the joint's command, in machine units.
     #[must_use]
-    pub fn trim(&self, position: f64, approach: Approach) -> f64 {
+    pub fn trim_at(&self, position: f64, approach: Approach) -> f64 {
         match approach {
             Approach::Positive => interpolate_linear(&self.forward, position),
             Approach::Negative => interpolate_linear(&self.reverse, position),
@@ -83,7 +83,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     for drive in collect_drive_errors(machine, options) {
         export_drive(&drive, options, export);
     }
-    omit_unsupported(machine, &mut export.report);
+    omit_unsupported_sections(machine, &mut export.report);
     if !export.files.is_empty() {
         export.report.add_note(
             "set COMP_FILE and COMP_FILE_TYPE = 1 in [JOINT_n], and remove BACKLASH there: the \
@@ -149,7 +149,7 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
     let largest = find_largest_residual(
         &comparison_positions_mm(range, &positions_mm, drive.has_constant_extrapolation()),
         |mm, approach| drive.error_um(mm, approach),
-        |mm, approach| back.trim(mm / unit_mm, approach) * unit_mm * 1000.0,
+        |mm, approach| back.trim_at(mm / unit_mm, approach) * unit_mm * 1000.0,
     );
     export.report.tables.push(ExportedTable {
         file: name.clone(),
@@ -172,7 +172,7 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
     export.files.push(ExportedFile { name, text });
 }
 
-fn omit_unsupported(machine: &Machine, report: &mut ExportReport) {
+fn omit_unsupported_sections(machine: &Machine, report: &mut ExportReport) {
     for cross in collect_cross_axis_errors(machine) {
         let reason =
             "LinuxCNC's tables correct a joint by its own position only; the bridge corrects this";
@@ -222,8 +222,8 @@ mod tests {
         for (mm, forward, reverse) in
             [(-50.0, 0.001, 0.004), (50.0, 0.002, 0.001), (150.0, 0.003, -0.002)]
         {
-            assert!((read.trim(mm, Approach::Positive) - forward).abs() < 1e-15);
-            assert!((read.trim(mm, Approach::Negative) - reverse).abs() < 1e-15);
+            assert!((read.trim_at(mm, Approach::Positive) - forward).abs() < 1e-15);
+            assert!((read.trim_at(mm, Approach::Negative) - reverse).abs() < 1e-15);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display};
 
-use crate::{ExportOptions, Format, number_format::format_number};
+use crate::{ExportFormat, ExportOptions, number_format::format_number};
 
 /// The direction in which a position is approached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,14 +29,14 @@ impl Approach {
 
 /// Where what the control corrects differs most from what the model requires.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
+pub struct LargestDifference {
     /// The difference in µm, at least 0.
     pub um: f64,
     /// Where: a position with its direction, a temperature, an angle.
     pub at: String,
 }
 
-impl Difference {
+impl LargestDifference {
     pub(crate) const NONE: Self = Self { um: 0.0, at: String::new() };
 
     /// Keeps the larger one. NaN is the largest of all.
@@ -68,7 +68,7 @@ pub struct ExportedTable {
     pub constant_um: f64,
     /// The largest difference between the control's correction, read back from the file, and the
     /// model without `constant_um`.
-    pub largest: Difference,
+    pub largest: LargestDifference,
     /// The loss, if points had to be left away, or if the control gives its values out so that more
     /// than its rounding is off; the difference above contains it.
     pub loss: Option<String>,
@@ -87,7 +87,7 @@ pub struct OmittedSection {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExportReport {
     /// The control.
-    pub format: Format,
+    pub format: ExportFormat,
     /// The machine's name.
     pub machine: String,
     /// The export's options.
@@ -101,7 +101,7 @@ pub struct ExportReport {
 }
 
 impl ExportReport {
-    pub(crate) fn new(format: Format, machine: &str, options: &ExportOptions) -> Self {
+    pub(crate) fn new(format: ExportFormat, machine: &str, options: &ExportOptions) -> Self {
         Self {
             format,
             machine: machine.to_string(),
@@ -161,7 +161,7 @@ impl Display for ExportReport {
             if table.constant_um != 0.0 {
                 writeln!(f, "  constant taken out: {:+.3} µm", table.constant_um)?;
             }
-            let Difference { um, at } = &table.largest;
+            let LargestDifference { um, at } = &table.largest;
             writeln!(f, "  largest difference from the model: {um:.4} µm at {at}")?;
             if let Some(loss) = &table.loss {
                 writeln!(f, "  loss: {loss}")?;

@@ -30,7 +30,7 @@ use std::collections::BTreeMap;
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-pub use read_back::{LookupTable, Variables};
+pub use read_back::{IniVariables, LookupTable};
 
 use crate::{
     Export, ExportOptions, ExportedFile, LengthUnit,
@@ -68,7 +68,7 @@ fn machine_axis_name(machine: &Machine, axis: LinearAxis, is_second: bool) -> St
 
 /// The files as they grow.
 #[derive(Default)]
-struct FileContents {
+struct IniFileContents {
     eec: String,
     cec: String,
     cec_tables: usize,
@@ -79,7 +79,7 @@ struct FileContents {
 }
 
 pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
-    let mut files = FileContents::default();
+    let mut files = IniFileContents::default();
     let mut planned = Vec::new();
     for drive in collect_drive_errors(machine, options) {
         if drive.is_constant() {
@@ -107,7 +107,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     write_files(options, files, export);
     let read = |name: &str, export: &Export| {
         let file = export.files.iter().find(|file| file.name == name);
-        file.map_or_else(|| Ok(Variables::default()), |file| Variables::parse(&file.text))
+        file.map_or_else(|| Ok(IniVariables::default()), |file| IniVariables::parse(&file.text))
     };
     let tables = ["AX_EEC.INI", "NC_CEC.INI", "ENABLE.INI"].map(|name| read(name, export));
     for plan in planned {
@@ -151,7 +151,7 @@ fn write_drive_table<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
     drive: &DriveError<'m>,
-    files: &mut FileContents,
+    files: &mut IniFileContents,
 ) -> PlannedTable<'m> {
     let axis = machine_axis_name(machine, drive.axis, drive.is_second);
     let reference_mm = options.reference_mm[drive.axis.index()];
@@ -197,7 +197,7 @@ fn write_drive_table<'m>(
             .flat_map(|mm| Approach::BOTH.map(|approach| error_um(mm, approach).abs()));
         *files.cec_sum_um.entry(axis).or_default() += largest.fold(0.0, f64::max);
     } else {
-        if drive.has_table() {
+        if drive.is_position_dependent() {
             // The backlash comes on top of the table, by a machine data of its own.
             files.write_eec(options, &axis, grid, |mm| error_um(mm, Approach::Positive));
         }
@@ -214,7 +214,7 @@ fn write_cross_axis_table<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
     cross: &CrossAxisError<'m>,
-    files: &mut FileContents,
+    files: &mut IniFileContents,
 ) -> Option<PlannedTable<'m>> {
     let range_mm = cross.range_mm(machine, options)?;
     let constant_um = cross.error_um(options.reference_mm[cross.along.index()]);
@@ -257,7 +257,7 @@ fn push_line(text: &mut String, line: &str) {
     text.push('\n');
 }
 
-impl FileContents {
+impl IniFileContents {
     fn write_eec(
         &mut self,
         options: &ExportOptions,
@@ -338,7 +338,7 @@ fn format_table(
     }
 }
 
-fn write_files(options: &ExportOptions, mut files: FileContents, export: &mut Export) {
+fn write_files(options: &ExportOptions, mut files: IniFileContents, export: &mut Export) {
     for (name, um) in &files.cec_sum_um {
         // Rounded up to a whole µm: above MD32720 the control raises an alarm.
         let mm = format_number(
@@ -354,11 +354,11 @@ fn write_files(options: &ExportOptions, mut files: FileContents, export: &mut Ex
         ("ENABLE.INI", "%_N_ENABLE_INI", &files.enable),
     ] {
         if !body.is_empty() {
-            export.files.push(build_file(name, header, body));
+            export.files.push(build_ini_file(name, header, body));
         }
     }
 }
 
-fn build_file(name: &str, header: &str, body: &str) -> ExportedFile {
+fn build_ini_file(name: &str, header: &str, body: &str) -> ExportedFile {
     ExportedFile { name: name.to_string(), text: format!("{header}\nCHANDATA(1)\n{body}M17\n") }
 }

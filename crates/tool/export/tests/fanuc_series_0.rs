@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, ExportError, ExportOptions, Format, export,
+    Export, ExportError, ExportFormat, ExportOptions, export,
     fanuc::{Series, parse_series_0_sheet},
 };
 use trueup_machine::{MachineFile, file::LinearAxis};
@@ -12,7 +12,7 @@ use trueup_machine::{MachineFile, file::LinearAxis};
 fn exported(text: &str, fanuc: Series) -> Result<Export, ExportError> {
     let source = format!("[machine]\nname = \"lathe\"\nkind = \"3-axis\"\n{text}");
     let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("it is correct");
-    export(&machine, Format::Fanuc, &ExportOptions { fanuc, ..ExportOptions::default() })
+    export(&machine, ExportFormat::Fanuc, &ExportOptions { fanuc, ..ExportOptions::default() })
 }
 
 /// Errors of 0, −2 and +3 µm; and of Z 0, −20, −40, which needs 4 times as much a step.
@@ -87,8 +87,8 @@ fn what_series_0_does_not_have_is_omitted_with_the_reason() {
 fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_reported() {
     let gantry = include_str!("../../../../data/gantry.toml");
     let machine = MachineFile::parse(gantry, Path::new("gantry.toml")).expect("it is correct");
-    let export =
-        export(&machine, Format::Fanuc, &ExportOptions::default()).expect("its pitch is held");
+    let export = export(&machine, ExportFormat::Fanuc, &ExportOptions::default())
+        .expect("its pitch is held");
     let report = export.report.to_string();
     println!("{report}");
     assert!(!export.report.is_complete());

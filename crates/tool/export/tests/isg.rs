@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, ExportError, ExportOptions, Format, export,
+    Export, ExportError, ExportFormat, ExportOptions, export,
     isg::{CompensationFile, parse},
 };
 use trueup_machine::{
@@ -16,7 +16,7 @@ fn machine(text: &str) -> Machine {
 }
 
 fn exported(text: &str) -> Result<Export, ExportError> {
-    export(&machine(text), Format::Isg, &ExportOptions::default())
+    export(&machine(text), ExportFormat::Isg, &ExportOptions::default())
 }
 
 fn file<'e>(export: &'e Export, name: &str) -> &'e str {
@@ -155,7 +155,7 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
     assert!(rule.contains("TwinCAT needs the chain of the axes"), "{rule}");
     let text = "machine = { name = 'm', kind = '3-axis', chain = 'w b X Y Z t' }
                 angular.eax.urad_per_m = 10.0";
-    for format in Format::ALL.into_iter().filter(|format| *format != Format::Isg) {
+    for format in ExportFormat::ALL.into_iter().filter(|format| *format != ExportFormat::Isg) {
         let refused =
             export(&machine(text), format, &ExportOptions::default()).expect_err("an angle");
         let rule = refused.to_string();
@@ -164,7 +164,7 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
             "{rule}"
         );
         // The 840D could, and the user wants to know why not.
-        assert_eq!(rule.contains("(VCS)"), format == Format::Siemens840d, "{rule}");
+        assert_eq!(rule.contains("(VCS)"), format == ExportFormat::Siemens840d, "{rule}");
     }
 }
 

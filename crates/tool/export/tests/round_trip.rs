@@ -7,14 +7,14 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_export::{
-    Approach, Export, ExportOptions, ExportedTable, Format, LengthUnit, export, fanuc, heidenhain,
-    linuxcnc,
-    siemens::{LookupTable, Variables},
+    Approach, Export, ExportFormat, ExportOptions, ExportedTable, LengthUnit, export, fanuc,
+    heidenhain, linuxcnc,
+    siemens::{IniVariables, LookupTable},
 };
 use trueup_machine::{
     Machine, MachineFile,
     file::{AxisModel, LinearAxis, PitchErrorTable},
-    model::{backlash_um, pitch_um, spline_um, squareness_um},
+    model::{backlash_um, pitch_error_um, spline_value_um, squareness_error_um},
 };
 
 /// Seeded numbers: splitmix64.
@@ -135,7 +135,7 @@ fn positions(first: f64, last: f64) -> impl Iterator<Item = f64> {
 /// Returns the error of one drive, from the model's functions alone.
 fn drive_um(axis: &AxisModel, pitch: Option<&PitchErrorTable>, mm: f64, approach: Approach) -> f64 {
     let direction = approach.sign();
-    pitch.map_or(0.0, |pitch| pitch_um(pitch, mm, direction))
+    pitch.map_or(0.0, |pitch| pitch_error_um(pitch, mm, direction))
         + axis.backlash.as_ref().map_or(0.0, |backlash| backlash_um(backlash, direction))
 }
 
@@ -144,8 +144,8 @@ fn cross_um(machine: &Machine, error: LinearAxis, along: LinearAxis, mm: f64) ->
     let curves = curves.filter(|curve| (curve.error, curve.along) == (error, along));
     let angles = machine.squareness.iter();
     let angles = angles.filter(|angle| (angle.error, angle.along) == (error, along));
-    curves.map(|curve| spline_um(&curve.spline, mm)).sum::<f64>()
-        + angles.map(|angle| squareness_um(angle, mm)).sum::<f64>()
+    curves.map(|curve| spline_value_um(&curve.spline, mm)).sum::<f64>()
+        + angles.map(|angle| squareness_error_um(angle, mm)).sum::<f64>()
 }
 
 /// Returns every drive: its name, its axis, its table.
@@ -191,13 +191,13 @@ fn linuxcnc_corrects_every_drive_exactly() {
         let machine = Random(seed).machine();
         for units in [LengthUnit::Millimetres, LengthUnit::Inches] {
             let options = ExportOptions { units, ..ExportOptions::default() };
-            let export = export(&machine, Format::LinuxCnc, &options).expect("it has tables");
+            let export = export(&machine, ExportFormat::LinuxCnc, &options).expect("it has tables");
             for (name, axis, pitch) in drives(&machine) {
                 let file = format!("{name}.comp");
                 let read = linuxcnc::parse(text(&export, &file)).expect("it loads");
                 let table = table(&export, |table| table.file == file);
                 let correction = |mm: f64, way| {
-                    read.trim(mm / units.mm_per_unit(), way) * units.mm_per_unit() * 1000.0
+                    read.trim_at(mm / units.mm_per_unit(), way) * units.mm_per_unit() * 1000.0
                 };
                 let error = |mm, way| drive_um(axis, pitch, mm, way);
                 worst = worst.max(assert_stated(table, error, correction));
@@ -217,8 +217,8 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
         let units = if seed % 2 == 0 { LengthUnit::Millimetres } else { LengthUnit::Inches };
         let options =
             ExportOptions { units, reference_mm: [10.0, 0.0, -20.0], ..ExportOptions::default() };
-        let export = export(&machine, Format::Siemens840d, &options).expect("it has tables");
-        let variables = |name| Variables::parse(text(&export, name)).expect("it reads back");
+        let export = export(&machine, ExportFormat::Siemens840d, &options).expect("it has tables");
+        let variables = |name| IniVariables::parse(text(&export, name)).expect("it reads back");
         let (eec, cec, data) =
             (variables("AX_EEC.INI"), variables("NC_CEC.INI"), variables("ENABLE.INI"));
         let unit = units.mm_per_unit() * 1000.0;
@@ -302,7 +302,7 @@ fn heidenhain_corrects_every_drive_and_every_pair_within_tolerance_and_rounding(
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
         let export =
-            export(&machine, Format::Heidenhain, &ExportOptions::default()).expect("it fits");
+            export(&machine, ExportFormat::Heidenhain, &ExportOptions::default()).expect("it fits");
         let read =
             |key: &str| heidenhain::parse(text(&export, &format!("{key}.com"))).expect("it loads");
         for (name, axis, pitch) in drives(&machine) {
@@ -347,7 +347,7 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
         let machine = Random(seed).machine();
         let options =
             ExportOptions { unit_um: [1.0, 0.5][seed as usize % 2], ..ExportOptions::default() };
-        let export = export(&machine, Format::Fanuc, &options).expect("it has tables");
+        let export = export(&machine, ExportFormat::Fanuc, &options).expect("it has tables");
         let control = fanuc::CompensationData::parse(
             text(&export, "CNC-PARA.TXT"),
             text(&export, "PITCH.TXT"),
@@ -402,13 +402,13 @@ fn a_table_above_the_limit_is_thinned_to_it_with_the_loss_stated() {
     );
     let machine = MachineFile::parse(&source, Path::new("long.toml")).expect("it is correct");
     for (format, most) in [
-        (Format::LinuxCnc, 256),
-        (Format::Heidenhain, 256),
-        (Format::Siemens840d, 200),
-        (Format::Fanuc, 128),
+        (ExportFormat::LinuxCnc, 256),
+        (ExportFormat::Heidenhain, 256),
+        (ExportFormat::Siemens840d, 200),
+        (ExportFormat::Fanuc, 128),
     ] {
         let options = ExportOptions {
-            most_points: (format == Format::Siemens840d).then_some(200),
+            most_points: (format == ExportFormat::Siemens840d).then_some(200),
             ..ExportOptions::default()
         };
         let export = export(&machine, format, &options).expect("it can be thinned");
@@ -421,7 +421,7 @@ fn a_table_above_the_limit_is_thinned_to_it_with_the_loss_stated() {
             table.loss
         );
         // FANUC's sections are whole multiples of the model's.
-        let least = if format == Format::Fanuc { most - 5 } else { most };
+        let least = if format == ExportFormat::Fanuc { most - 5 } else { most };
         assert!((least..=most).contains(&table.points), "{table:?}");
         assert!(table.loss.is_some() && !export.report.is_complete());
         assert!(table.largest.um > 0.1, "{table:?}");
@@ -434,6 +434,6 @@ fn a_fanuc_axis_that_is_too_steep_is_omitted_with_the_reason() {
                   step_mm = 1.0\nforward_um = [0.0, 9000.0]\n";
     let machine = MachineFile::parse(source, Path::new("steep.toml")).expect("it is correct");
     let refused =
-        export(&machine, Format::Fanuc, &ExportOptions::default()).expect_err("too steep");
+        export(&machine, ExportFormat::Fanuc, &ExportOptions::default()).expect_err("too steep");
     assert!(refused.to_string().contains("more than 7 times 8 units"), "{refused}");
 }

@@ -7,7 +7,9 @@
 
 use std::path::Path;
 
-use trueup_export::{Approach, Export, ExportError, ExportOptions, Format, LengthUnit, export};
+use trueup_export::{
+    Approach, Export, ExportError, ExportFormat, ExportOptions, LengthUnit, export,
+};
 use trueup_machine::{Machine, MachineFile};
 
 const MACHINE: &str = r#"
@@ -48,7 +50,7 @@ fn machine() -> Machine {
     MachineFile::parse(MACHINE, Path::new("hand.toml")).expect("it is correct")
 }
 
-fn exported(format: Format, options: &ExportOptions) -> Export {
+fn exported(format: ExportFormat, options: &ExportOptions) -> Export {
     export(&machine(), format, options).expect("it can be held")
 }
 
@@ -65,7 +67,7 @@ fn assert_lines(text: &str, lines: &[&str]) {
 
 #[test]
 fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse_column() {
-    let export = exported(Format::LinuxCnc, &ExportOptions::default());
+    let export = exported(ExportFormat::LinuxCnc, &ExportOptions::default());
     assert_eq!(file(&export, "x.comp"), "0 0 -0.005\n100 -0.002 -0.007\n200 0.003 -0.002\n");
     assert_eq!(file(&export, "y.comp"), "-100 -0.001 -0.006\n0 -0.003 -0.007\n100 -0.004 -0.009\n");
     let left: Vec<&str> = export.report.omitted.iter().map(|left| left.section.as_str()).collect();
@@ -76,7 +78,7 @@ fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse
 #[test]
 fn linuxcnc_in_inches_has_the_same_positions_and_trims() {
     let options = ExportOptions { units: LengthUnit::Inches, ..ExportOptions::default() };
-    let export = exported(Format::LinuxCnc, &options);
+    let export = exported(ExportFormat::LinuxCnc, &options);
     assert_lines(file(&export, "x.comp"), &["3.93700787 -0.00007874 -0.00027559"]);
     assert!(export.report.max_difference_um() < 0.001, "{}", export.report);
 }
@@ -85,7 +87,7 @@ fn linuxcnc_in_inches_has_the_same_positions_and_trims() {
 fn siemens_values_are_the_error_because_a_positive_one_moves_the_axis_negative() {
     let mut options = ExportOptions { elongation_um: 60.0, ..ExportOptions::default() };
     options.temperatures_c.insert("temp_x_c".into(), 30.0);
-    let export = exported(Format::Siemens840d, &options);
+    let export = exported(ExportFormat::Siemens840d, &options);
     assert_eq!(
         file(&export, "AX_EEC.INI"),
         "%_N_AX_EEC_INI\nCHANDATA(1)\n\
@@ -149,7 +151,7 @@ fn siemens_values_are_the_error_because_a_positive_one_moves_the_axis_negative()
 #[test]
 fn siemens_in_inches_is_25_4_times_smaller() {
     let options = ExportOptions { units: LengthUnit::Inches, ..ExportOptions::default() };
-    let export = exported(Format::Siemens840d, &options);
+    let export = exported(ExportFormat::Siemens840d, &options);
     assert_lines(
         file(&export, "AX_EEC.INI"),
         &["$AA_ENC_COMP[0,1,AX1]=0.0000787", "$AA_ENC_COMP_STEP[0,AX1]=3.937007874"],
@@ -160,7 +162,7 @@ fn siemens_in_inches_is_25_4_times_smaller() {
 
 #[test]
 fn fanuc_values_are_the_steps_of_the_correction_and_positive_moves_positive() {
-    let export = exported(Format::Fanuc, &ExportOptions::default());
+    let export = exported(ExportFormat::Fanuc, &ExportOptions::default());
     // X in sections of 50 mm, because its straightness needs four points: the correction is 0, −1,
     // −2, +0.5 (rounded to 1), +3. Y from 128, the reference in its middle, 3 µm taken out: +2, 0,
     // −1, and −3, −4, −6 in the negative direction.
@@ -189,7 +191,7 @@ fn fanuc_values_are_the_steps_of_the_correction_and_positive_moves_positive() {
 
 #[test]
 fn heidenhain_values_are_the_error_and_the_cma_names_the_moving_axis() {
-    let export = exported(Format::Heidenhain, &ExportOptions::default());
+    let export = exported(ExportFormat::Heidenhain, &ExportOptions::default());
     assert_eq!(
         file(&export, "X.com"),
         "BEGIN X.com MM\nNR AXISPOS BACKLASH X Z\n0 +0 +0.005 +0 +0\n\
@@ -207,10 +209,10 @@ fn heidenhain_values_are_the_error_and_the_cma_names_the_moving_axis() {
 #[test]
 fn a_wrong_sign_anywhere_would_show() {
     // The readers give the correction; with the model's error it must vanish, not double.
-    let export = exported(Format::LinuxCnc, &ExportOptions::default());
+    let export = exported(ExportFormat::LinuxCnc, &ExportOptions::default());
     let read = trueup_export::linuxcnc::parse(file(&export, "x.comp")).expect("it is correct");
-    assert_eq!(read.trim(200.0, Approach::Positive), 0.003);
-    assert_eq!(read.trim(200.0, Approach::Negative), -0.002);
+    assert_eq!(read.trim_at(200.0, Approach::Positive), 0.003);
+    assert_eq!(read.trim_at(200.0, Approach::Negative), -0.002);
 }
 
 #[test]
@@ -219,7 +221,7 @@ fn a_machine_that_cannot_be_held_is_refused_with_every_reason() {
                   [spindle.temperature]\nsensor = \"temp_head_c\"\nreference_c = 20.0\n\
                   k_um_per_c = 2.0\n[squareness]\nx_of_y_um_per_m = 10.0\n";
     let machine = MachineFile::parse(source, Path::new("hot.toml")).expect("it is correct");
-    for format in [Format::LinuxCnc, Format::Fanuc, Format::Heidenhain] {
+    for format in [ExportFormat::LinuxCnc, ExportFormat::Fanuc, ExportFormat::Heidenhain] {
         let refused =
             export(&machine, format, &ExportOptions::default()).expect_err("nothing fits");
         let ExportError::NothingFits { omitted, .. } = &refused else { panic!("{refused}") };
@@ -235,7 +237,7 @@ fn a_machine_that_cannot_be_held_is_refused_with_every_reason() {
     // With the travel, the angle can be held where there are cross tables.
     let mut options = ExportOptions::default();
     options.travel_mm[1] = Some((0.0, 1000.0));
-    let export = export(&machine, Format::Siemens840d, &options).expect("the angle fits");
+    let export = export(&machine, ExportFormat::Siemens840d, &options).expect("the angle fits");
     assert_lines(file(&export, "NC_CEC.INI"), &["$AN_CEC[0,0]=0", "$AN_CEC[0,1]=0.01"]);
 }
 
@@ -244,8 +246,8 @@ fn a_machine_without_errors_has_nothing_to_export() {
     let source = "[machine]\nname = \"new\"\nkind = \"3-axis\"\n";
     let machine = MachineFile::parse(source, Path::new("new.toml")).expect("it is correct");
     let refused =
-        export(&machine, Format::LinuxCnc, &ExportOptions::default()).expect_err("no errors");
-    assert_eq!(refused, ExportError::NoErrors(Format::LinuxCnc));
+        export(&machine, ExportFormat::LinuxCnc, &ExportOptions::default()).expect_err("no errors");
+    assert_eq!(refused, ExportError::NoErrors(ExportFormat::LinuxCnc));
     let text = "the model has no errors, so there is nothing to export to linuxcnc";
     assert_eq!(refused.to_string(), text);
 }
@@ -267,15 +269,15 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
     let mut options = ExportOptions::default();
     options.travel_mm[0] = Some((0.0, 1000.0));
     let of = |format| export(&machine, format, &options).expect("it fits");
-    let linuxcnc = of(Format::LinuxCnc);
+    let linuxcnc = of(ExportFormat::LinuxCnc);
     assert_eq!(file(&linuxcnc, "x.comp"), "0 0 -0.002\n1000 -0.01 -0.012\n");
-    let siemens = of(Format::Siemens840d);
+    let siemens = of(ExportFormat::Siemens840d);
     assert_lines(file(&siemens, "AX_EEC.INI"), &["$AA_ENC_COMP[0,1,AX1]=0.01"]);
     assert_lines(file(&siemens, "NC_CEC.INI"), &["$AN_CEC[0,1]=-0.004"]);
     assert_lines(file(&siemens, "ENABLE.INI"), &["$MA_BACKLASH[0,AX1]=0.002"]);
-    let heidenhain = of(Format::Heidenhain);
+    let heidenhain = of(ExportFormat::Heidenhain);
     assert_lines(file(&heidenhain, "X.com"), &["1 +1000 +0.012 +0.01 -0.004"]);
-    for export in [linuxcnc, siemens, heidenhain, of(Format::Fanuc)] {
+    for export in [linuxcnc, siemens, heidenhain, of(ExportFormat::Fanuc)] {
         let left: Vec<&str> =
             export.report.omitted.iter().map(|left| left.section.as_str()).collect();
         assert!(left.contains(&"term[3] (extra-heat-path)"), "{}", export.report);
@@ -284,8 +286,8 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
         assert!(export.report.max_difference_um() < 1.0, "{}", export.report);
     }
     // Without the travel a scale cannot be a table, and that is reported.
-    let export =
-        export(&machine, Format::LinuxCnc, &ExportOptions::default()).expect("the backlash fits");
+    let export = export(&machine, ExportFormat::LinuxCnc, &ExportOptions::default())
+        .expect("the backlash fits");
     assert_eq!(file(&export, "x.comp"), "0 0 -0.002\n");
     assert!(export.report.to_string().contains("term[0] (pitch-scale): it needs the travel"));
 }
@@ -298,7 +300,7 @@ fn a_periodic_error_gets_points_where_it_bends() {
     let machine = MachineFile::parse(source, Path::new("periodic.toml")).expect("it is correct");
     let mut options = ExportOptions::default();
     options.travel_mm[1] = Some((-50.0, 50.0));
-    for format in [Format::LinuxCnc, Format::Heidenhain, Format::Siemens840d] {
+    for format in [ExportFormat::LinuxCnc, ExportFormat::Heidenhain, ExportFormat::Siemens840d] {
         let export = export(&machine, format, &options).expect("it fits");
         println!("{}: {:?}", format.name(), export.report.tables);
         assert!(export.report.is_complete(), "{}", export.report);
@@ -315,7 +317,12 @@ fn what_depends_on_the_tool_or_a_condition_is_omitted_by_name_with_the_reason() 
          levels = [0.0, 1.0]\nlevel_um = [0.0, 5.0]\n"
     );
     let with = MachineFile::parse(&source, Path::new("hand.toml")).expect("it is correct");
-    for format in [Format::LinuxCnc, Format::Siemens840d, Format::Heidenhain, Format::Fanuc] {
+    for format in [
+        ExportFormat::LinuxCnc,
+        ExportFormat::Siemens840d,
+        ExportFormat::Heidenhain,
+        ExportFormat::Fanuc,
+    ] {
         let of =
             |machine| export(machine, format, &ExportOptions::default()).expect("it can be held");
         let (with, without) = (of(&with), of(&machine()));

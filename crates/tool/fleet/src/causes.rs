@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
     constants::{NamedFinding, neutral_value},
-    pool::{Estimate, MIN_MACHINES, pool_estimates},
+    pool::{Estimate, MIN_POOLED_MACHINES, pool_estimates},
     record::MachineRecord,
     report::Cause,
 };
@@ -78,7 +78,7 @@ fn is_confirmed(of: &CauseOccurrences<'_>) -> bool {
 fn is_supported(of: &CauseOccurrences<'_>) -> bool {
     let all: Vec<&EffectSize<'_>> = of.sizes.iter().collect();
     of.claimed.is_empty()
-        && of.found.len() >= MIN_MACHINES
+        && of.found.len() >= MIN_POOLED_MACHINES
         && all.iter().any(|size| significant_sign(&all, size.1).is_some())
 }
 

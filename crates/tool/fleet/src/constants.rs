@@ -5,7 +5,7 @@
 
 use serde_json::Value;
 
-use crate::pool::{Estimate, Z95};
+use crate::pool::{Estimate, NORMAL_QUANTILE_975};
 
 /// Parameters of what happened once, in one record: no constants of a machine.
 const EVENT_PARAMETERS: &[&str] =
@@ -15,11 +15,12 @@ const LOG_SCALE_PARAMETERS: &[&str] = &["time_constant_s", "period_mm", "period_
 /// Parameters that are 1 where a cause does nothing.
 const GAIN_PARAMETERS: &[&str] = &["gain", "scale", "factor"];
 /// Parameters whose value without the cause is what the machine file says: no value says that there is none.
-const MACHINE_FILE_PARAMETERS: &[&str] = &["time_constant_s", "lag_s", "period_mm", "period_s"];
+const PARAMETERS_WITHOUT_NEUTRAL_VALUE: &[&str] =
+    &["time_constant_s", "lag_s", "period_mm", "period_s"];
 
 /// A parameter of a finding.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Constant {
+pub struct EstimatedConstant {
     /// Its name, with its unit.
     pub parameter: String,
     /// Its value, or the logarithm of it.
@@ -61,7 +62,7 @@ pub struct NamedFinding {
     /// RMS in µm that it explains.
     pub explains_um: f64,
     /// Its constants.
-    pub constants: Vec<Constant>,
+    pub constants: Vec<EstimatedConstant>,
     /// Names of the causes that these data do not separate from it.
     pub alternatives: Vec<String>,
 }
@@ -79,7 +80,7 @@ pub(crate) fn is_log_scaled(parameter: &str) -> bool {
 #[must_use]
 pub(crate) fn neutral_value(parameter: &str) -> Option<f64> {
     match parameter {
-        it if MACHINE_FILE_PARAMETERS.contains(&it) => None,
+        it if PARAMETERS_WITHOUT_NEUTRAL_VALUE.contains(&it) => None,
         it if GAIN_PARAMETERS.contains(&it) => Some(1.0),
         _ => Some(0.0),
     }
@@ -157,14 +158,14 @@ fn finding_name(quantity: &str, of: &Value) -> String {
     name
 }
 
-fn parse_constants(parameters: &Value) -> Vec<Constant> {
+fn parse_constants(parameters: &Value) -> Vec<EstimatedConstant> {
     let all = parameters.as_object().into_iter().flatten();
     all.filter(|(name, _)| !EVENT_PARAMETERS.contains(&name.as_str()))
         .filter_map(|(name, value)| {
             let number = value["value"].as_f64()?;
             let [low, high] = [0, 1].map(|end| value["ci95"][end].as_f64());
             let estimate = estimate_from_interval(name, number, [low?, high?])?;
-            Some(Constant { parameter: name.clone(), estimate })
+            Some(EstimatedConstant { parameter: name.clone(), estimate })
         })
         .collect()
 }
@@ -175,9 +176,9 @@ fn estimate_from_interval(parameter: &str, value: f64, [low, high]: [f64; 2]) ->
         if !(low > 0.0 && value > 0.0) {
             return None;
         }
-        Estimate { value: value.ln(), se: (high / low).ln() / (2.0 * Z95) }
+        Estimate { value: value.ln(), se: (high / low).ln() / (2.0 * NORMAL_QUANTILE_975) }
     } else {
-        Estimate { value, se: (high - low) / (2.0 * Z95) }
+        Estimate { value, se: (high - low) / (2.0 * NORMAL_QUANTILE_975) }
     };
     let is_known = estimate.value.is_finite() && estimate.se.is_finite() && estimate.se > 0.0;
     is_known.then_some(estimate)

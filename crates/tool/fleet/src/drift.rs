@@ -10,7 +10,7 @@ use trueup_numerics::t_quantile;
 
 use crate::{
     outliers::SIGNIFICANCE_LEVEL,
-    pool::{Estimate, Z95},
+    pool::{Estimate, NORMAL_QUANTILE_975},
 };
 
 /// Days of a year.
@@ -58,7 +58,7 @@ pub(crate) fn estimate_drift(days: &[(EpochDay, Estimate)], constants: usize) ->
     // With known errors the normal distribution.
     let freedom = if scatters { freedom } else { 1e6 };
     let quantile = |two_sided: f64| t_quantile(1.0 - 0.5 * two_sided, freedom);
-    let half = quantile(0.05).max(Z95) * se;
+    let half = quantile(0.05).max(NORMAL_QUANTILE_975) * se;
     let level = SIGNIFICANCE_LEVEL / constants.max(1) as f64;
     Some(Drift {
         per_year,

@@ -1,7 +1,7 @@
 //! The series as one page: what to do first, the machines in a table, and each constant as a picture.
 
 use trueup_page::{
-    ForestPlot, ForestRow, HtmlTable, Origin, Page, format_significant, format_with_interval,
+    ForestPlot, ForestRow, HtmlTable, Page, Provenance, format_significant, format_with_interval,
 };
 
 use crate::report::{Machine, SeriesConstant, SeriesReport};
@@ -11,7 +11,7 @@ const MAX_FIGURES: usize = 12;
 
 /// Returns the page.
 #[must_use]
-pub fn render_html(series: &SeriesReport, folder: &str, origin: &Origin) -> String {
+pub fn render_html(series: &SeriesReport, folder: &str, origin: &Provenance) -> String {
     let mut page = Page::new(&format!("Series of {} machines: {folder}", series.machines.len()));
     let conspicuous = anomaly_sentences(series);
     match conspicuous.is_empty() {

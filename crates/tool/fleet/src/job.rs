@@ -174,13 +174,13 @@ impl Submission {
             for (name, content) in self.files() {
                 fs::write(staged.path().join(name), &content.bytes)?;
             }
-            if store.publish(staged, &target)? {
+            if store.publish_folder(staged, &target)? {
                 return Ok(SubmittedJob { id, is_new: true, other_date: None });
             }
         }
         let there = Job::read(store, &id).map_err(io::Error::other)?;
         let other_date = self.to_job().conflicting_date(there, target.display())?;
-        fs::remove_file(store.failure_path(&id)).or_else(crate::store::ignore_missing)?;
+        fs::remove_file(store.failure_path(&id)).or_else(crate::store::ignore_not_found)?;
         Ok(SubmittedJob { id, is_new: false, other_date })
     }
 }

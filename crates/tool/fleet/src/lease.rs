@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::store::{FleetStore, ignore_missing};
+use crate::store::{FleetStore, ignore_not_found};
 
 /// Content of a lease whose owner has given it back.
 const RELEASED_MARKER: &str = "released";
@@ -65,10 +65,10 @@ pub(crate) fn is_released(store: &FleetStore, id: &str, number: u64) -> bool {
 }
 
 /// Returns the newest lease of each job.
-pub(crate) fn find_newest(store: &FleetStore) -> io::Result<NewestLeases> {
+pub(crate) fn find_newest_leases(store: &FleetStore) -> io::Result<NewestLeases> {
     let mut newest = NewestLeases::new();
-    for name in store.list("leases")? {
-        if let Some((id, number)) = parse_file_name(&name) {
+    for name in store.list_subfolder("leases")? {
+        if let Some((id, number)) = parse_lease_file_name(&name) {
             let known = newest.entry(id.to_string()).or_default();
             *known = number.max(*known);
         }
@@ -76,7 +76,7 @@ pub(crate) fn find_newest(store: &FleetStore) -> io::Result<NewestLeases> {
     Ok(newest)
 }
 
-fn parse_file_name(name: &str) -> Option<(&str, u64)> {
+fn parse_lease_file_name(name: &str) -> Option<(&str, u64)> {
     let (id, number) = name.rsplit_once('.')?;
     Some((id, number.parse().ok()?))
 }
@@ -88,9 +88,9 @@ pub(crate) fn lease_path(store: &FleetStore, id: &str, number: u64) -> PathBuf {
 
 /// Removes the leases of a job that has ended.
 pub(crate) fn remove_leases(store: &FleetStore, id: &str) -> io::Result<()> {
-    for name in store.list("leases")? {
-        if parse_file_name(&name).is_some_and(|(of, _)| of == id) {
-            fs::remove_file(store.lease_path(&name)).or_else(ignore_missing)?;
+    for name in store.list_subfolder("leases")? {
+        if parse_lease_file_name(&name).is_some_and(|(of, _)| of == id) {
+            fs::remove_file(store.lease_path(&name)).or_else(ignore_not_found)?;
         }
     }
     Ok(())
@@ -151,7 +151,7 @@ mod tests {
         first.renew();
         assert!(!ended(15) && !ended(24) && ended(25));
         assert!(take(2).is_some());
-        assert_eq!(find_newest(&store).expect("it is read").get("a"), Some(&2));
+        assert_eq!(find_newest_leases(&store).expect("it is read").get("a"), Some(&2));
         first.release();
         assert!(ended(25), "what was given back is free at once");
     }

@@ -23,9 +23,9 @@ use crate::pool::Estimate;
 /// How often a healthy machine is called odd.
 pub(crate) const SIGNIFICANCE_LEVEL: f64 = 0.01;
 /// The same at most for one constant.
-const CONSTANT_SIGNIFICANCE_LEVEL: f64 = 0.005;
+const MAX_CONSTANT_SIGNIFICANCE_LEVEL: f64 = 0.005;
 /// A step is certain at this level for the series.
-const SERIES_SIGNIFICANCE_LEVEL: f64 = 0.01;
+const OUTLIER_SIGNIFICANCE_LEVEL: f64 = 0.01;
 /// The largest share of machines that are taken out.
 const MAX_OUTLIER_FRACTION: f64 = 0.2;
 
@@ -48,11 +48,11 @@ pub fn compare_machines(
     machines: &[Estimate],
     constants: usize,
 ) -> Option<Vec<PredictiveTestResult>> {
-    if machines.len() < crate::pool::MIN_MACHINES {
+    if machines.len() < crate::pool::MIN_POOLED_MACHINES {
         return None;
     }
     let out = find_outliers(machines);
-    let level = (SIGNIFICANCE_LEVEL / constants.max(1) as f64).min(CONSTANT_SIGNIFICANCE_LEVEL);
+    let level = (SIGNIFICANCE_LEVEL / constants.max(1) as f64).min(MAX_CONSTANT_SIGNIFICANCE_LEVEL);
     let compared = |index: usize| {
         let others: Vec<Estimate> = (0..machines.len())
             .filter(|other| *other != index && !out.contains(other))
@@ -70,7 +70,7 @@ fn find_outliers(machines: &[Estimate]) -> Vec<usize> {
     let most = (MAX_OUTLIER_FRACTION * machines.len() as f64).ceil() as usize;
     let mut rest: Vec<usize> = (0..machines.len()).collect();
     let (mut out, mut certain) = (Vec::new(), 0);
-    while out.len() < most && rest.len() >= crate::pool::MIN_MACHINES {
+    while out.len() < most && rest.len() >= crate::pool::MIN_POOLED_MACHINES {
         let p = |index: usize| {
             let others = rest.iter().filter(|other| **other != index);
             let others: Vec<Estimate> = others.map(|other| machines[*other]).collect();
@@ -81,7 +81,7 @@ fn find_outliers(machines: &[Estimate]) -> Vec<usize> {
         let tests = rest.len() as f64;
         rest.retain(|there| *there != index);
         out.push(index);
-        if p * tests < SERIES_SIGNIFICANCE_LEVEL {
+        if p * tests < OUTLIER_SIGNIFICANCE_LEVEL {
             certain = out.len();
         }
     }

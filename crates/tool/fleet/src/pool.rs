@@ -19,13 +19,13 @@ use serde::Serialize;
 
 /// Fewer machines than this are left as they are (James and Stein 1961: towards an estimated mean no rule of this kind
 /// is never worse below four).
-pub(crate) const MIN_MACHINES: usize = 4;
+pub(crate) const MIN_POOLED_MACHINES: usize = 4;
 
 /// This many machines beyond three have the full weight of the mean.
-const FULL_WEIGHT_MACHINES: f64 = 4.0;
+const FULL_WEIGHT_EXTRA_MACHINES: f64 = 4.0;
 
 /// Half of an interval of 95 % in standard errors.
-pub(crate) const Z95: f64 = 1.96;
+pub(crate) const NORMAL_QUANTILE_975: f64 = 1.96;
 
 /// Points of the grid in a decade of τ.
 const GRID_POINTS_PER_DECADE: f64 = 40.0;
@@ -43,7 +43,7 @@ impl Estimate {
     /// Returns the interval of 95 %.
     #[must_use]
     pub fn ci95(&self) -> [f64; 2] {
-        [self.value - Z95 * self.se, self.value + Z95 * self.se]
+        [self.value - NORMAL_QUANTILE_975 * self.se, self.value + NORMAL_QUANTILE_975 * self.se]
     }
 }
 
@@ -77,15 +77,16 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
     let points = (decades * GRID_POINTS_PER_DECADE).ceil() as usize;
     let taus =
         (0..=points).map(|n| MIN_TAU_RATIO * 10_f64.powf(decades * n as f64 / points as f64));
-    let grid: Vec<GridPoint> = taus.map(|ratio| GridPoint::new(machines, ratio, typical)).collect();
+    let grid: Vec<TauGridPoint> =
+        taus.map(|ratio| TauGridPoint::new(machines, ratio, typical)).collect();
     let best = grid.iter().map(|at| at.log_weight).fold(f64::NEG_INFINITY, f64::max);
     let weights: Vec<f64> = grid.iter().map(|at| (at.log_weight - best).exp()).collect();
     let total: f64 = weights.iter().sum();
-    let mean_of = |of: &dyn Fn(&GridPoint) -> f64| -> f64 {
+    let mean_of = |of: &dyn Fn(&TauGridPoint) -> f64| -> f64 {
         grid.iter().zip(&weights).map(|(at, weight)| weight * of(at)).sum::<f64>() / total
     };
     // Of a mixture: the mean variance within, and the variance of the means.
-    let mixed = |value: &dyn Fn(&GridPoint) -> f64, variance: &dyn Fn(&GridPoint) -> f64| {
+    let mixed = |value: &dyn Fn(&TauGridPoint) -> f64, variance: &dyn Fn(&TauGridPoint) -> f64| {
         let mean = mean_of(value);
         let within = mean_of(variance);
         let between = mean_of(&|at| (value(at) - mean).powi(2));
@@ -93,7 +94,7 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
     };
     let mean = mixed(&|at| at.mean, &|at| at.mean_variance);
     let spread = mixed(&|at| at.tau, &|_| 0.0);
-    if count < MIN_MACHINES {
+    if count < MIN_POOLED_MACHINES {
         return Some(PooledEstimate {
             mean,
             spread,
@@ -101,8 +102,8 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
             weight: vec![0.0; count],
         });
     }
-    let caution = ((count as f64 - 3.0) / FULL_WEIGHT_MACHINES).min(1.0);
-    let part = |estimate: &Estimate, at: &GridPoint| {
+    let caution = ((count as f64 - 3.0) / FULL_WEIGHT_EXTRA_MACHINES).min(1.0);
+    let part = |estimate: &Estimate, at: &TauGridPoint| {
         caution * estimate.se.powi(2) / (estimate.se.powi(2) + at.tau.powi(2))
     };
     let shrunk = |estimate: &Estimate| {
@@ -127,7 +128,7 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
 const MIN_TAU_RATIO: f64 = 1e-2;
 
 /// Estimate if the spread is `tau`.
-struct GridPoint {
+struct TauGridPoint {
     tau: f64,
     mean: f64,
     mean_variance: f64,
@@ -135,7 +136,7 @@ struct GridPoint {
     log_weight: f64,
 }
 
-impl GridPoint {
+impl TauGridPoint {
     fn new(machines: &[Estimate], ratio: f64, typical: f64) -> Self {
         let tau = ratio * typical;
         let variance = |estimate: &Estimate| estimate.se.powi(2) + tau.powi(2);

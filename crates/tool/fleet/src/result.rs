@@ -54,7 +54,7 @@ pub struct StoredResults {
 /// The folder cannot be read.
 pub fn read_all(store: &FleetStore) -> io::Result<StoredResults> {
     let mut results = StoredResults::default();
-    for id in store.list("results")? {
+    for id in store.list_subfolder("results")? {
         match read_result(store, &id) {
             Ok(stored) => results.whole.push(stored),
             Err(why) => results.damaged.push(format!(

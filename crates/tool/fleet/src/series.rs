@@ -15,7 +15,7 @@ use crate::{
     drift::{Drift, current_estimate, estimate_drift},
     next_measurement,
     outliers::{self, compare_machines, holm_adjust},
-    pool::{Estimate, Z95, pool_estimates},
+    pool::{Estimate, NORMAL_QUANTILE_975, pool_estimates},
     record::{MachineRecord, PooledConstant, UncertainConstant},
     report::{
         DriftingConstant, IntervalEstimate, Machine, MachineComparison, MemberConstant,
@@ -57,7 +57,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
         for machine in machines.keys() {
             *known_on.entry(machine).or_default() += 1;
             *compared_on.entry(machine).or_default() +=
-                usize::from(machines.len() >= crate::pool::MIN_MACHINES);
+                usize::from(machines.len() >= crate::pool::MIN_POOLED_MACHINES);
         }
     }
     let mut all = Vec::new();
@@ -218,7 +218,10 @@ fn evaluate_constant<'r>(
     }
     let spread = together.spread;
     let ratio = |value: f64| if by_ratios { value.exp() } else { value };
-    let ends = [(spread.value - Z95 * spread.se).max(0.0), spread.value + Z95 * spread.se];
+    let ends = [
+        (spread.value - NORMAL_QUANTILE_975 * spread.se).max(0.0),
+        spread.value + NORMAL_QUANTILE_975 * spread.se,
+    ];
     let constant = SeriesConstant {
         name: name.into(),
         parameter: parameter.into(),

@@ -71,7 +71,7 @@ impl FleetStore {
     }
 
     /// Returns the names in one of the folders, sorted.
-    pub(crate) fn list(&self, folder: &str) -> io::Result<Vec<String>> {
+    pub(crate) fn list_subfolder(&self, folder: &str) -> io::Result<Vec<String>> {
         list_file_names(&self.root.join(folder))
     }
 
@@ -81,7 +81,7 @@ impl FleetStore {
     }
 
     /// Returns whether a job has ended, with a result or a reason.
-    pub(crate) fn is_ended(&self, id: &str) -> bool {
+    pub(crate) fn is_job_ended(&self, id: &str) -> bool {
         self.result_folder(id).exists() || self.failure_path(id).exists()
     }
 
@@ -90,7 +90,7 @@ impl FleetStore {
     /// # Errors
     /// The folder cannot be read.
     pub fn job_ids(&self) -> io::Result<Vec<String>> {
-        self.list("jobs")
+        self.list_subfolder("jobs")
     }
 
     /// Returns a new folder that is not visible yet.
@@ -100,7 +100,7 @@ impl FleetStore {
 
     /// Makes a staged folder visible as `target`, unless there is one of that name: the first one stays. Returns whether
     /// it was the first.
-    pub(crate) fn publish(&self, staged: TempDir, target: &Path) -> io::Result<bool> {
+    pub(crate) fn publish_folder(&self, staged: TempDir, target: &Path) -> io::Result<bool> {
         sync_tree(staged.path())?;
         let from = staged.keep();
         let renamed = fs::rename(&from, target);
@@ -113,7 +113,7 @@ impl FleetStore {
         // Another one was first.
         if target.is_dir() {
             let removed = fs::remove_dir_all(&from);
-            return removed.or_else(ignore_missing).map(|()| false);
+            return removed.or_else(ignore_not_found).map(|()| false);
         }
         renamed.map(|()| true)
     }
@@ -129,8 +129,8 @@ impl FleetStore {
 
     /// Removes what workers that were killed have left of a job that has ended.
     pub(crate) fn clear_staging(&self, prefix: &str) -> io::Result<()> {
-        for name in self.list("tmp")?.iter().filter(|name| name.starts_with(prefix)) {
-            fs::remove_dir_all(self.root.join("tmp").join(name)).or_else(ignore_missing)?;
+        for name in self.list_subfolder("tmp")?.iter().filter(|name| name.starts_with(prefix)) {
+            fs::remove_dir_all(self.root.join("tmp").join(name)).or_else(ignore_not_found)?;
         }
         Ok(())
     }
@@ -147,7 +147,7 @@ fn list_file_names(folder: &Path) -> io::Result<Vec<String>> {
 }
 
 /// Returns success for what another process has removed already.
-pub(crate) fn ignore_missing(error: io::Error) -> io::Result<()> {
+pub(crate) fn ignore_not_found(error: io::Error) -> io::Result<()> {
     if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 

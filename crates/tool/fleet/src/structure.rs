@@ -18,9 +18,9 @@ use crate::{
 };
 
 /// The share of machines on which a common cause is found.
-const MIN_COMMON_FRACTION: f64 = 0.25;
+const MIN_COMMON_CAUSE_FRACTION: f64 = 0.25;
 /// The fewest machines on which it is.
-const MIN_COMMON_MACHINES: usize = 3;
+const MIN_COMMON_CAUSE_MACHINES: usize = 3;
 
 /// The terms to be fitted to a record.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -64,8 +64,8 @@ fn select_causes_for_record(
         }
     }
     let count = |identity: &CauseIdentity| found_on.get(identity).map_or(0, BTreeSet::len);
-    let least =
-        ((MIN_COMMON_FRACTION * machines.len() as f64).ceil() as usize).max(MIN_COMMON_MACHINES);
+    let least = ((MIN_COMMON_CAUSE_FRACTION * machines.len() as f64).ceil() as usize)
+        .max(MIN_COMMON_CAUSE_MACHINES);
     let is_common = |identity: &CauseIdentity| count(identity) >= least;
     // Another name for what more machines call otherwise.
     let is_replaced = |own: &NamedFinding| {

@@ -155,7 +155,7 @@ impl WorkerThreads<'_> {
     fn run(&self, number: usize) -> io::Result<()> {
         let worker = format!("{}-{number}", process::id());
         loop {
-            match self.acquire_next(&worker)? {
+            match self.acquire_next_job(&worker)? {
                 NextJob::Job(id, lease) => self.process_job(&id, lease)?,
                 NextJob::Nothing if self.options.until_empty => return Ok(()),
                 NextJob::Wait | NextJob::Nothing => {
@@ -166,19 +166,19 @@ impl WorkerThreads<'_> {
     }
 
     /// Takes the next job that waits.
-    fn acquire_next(&self, worker: &str) -> io::Result<NextJob> {
+    fn acquire_next_job(&self, worker: &str) -> io::Result<NextJob> {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         let mut is_fresh = false;
         loop {
             while let Some((id, number)) = queue.pop() {
-                if self.store.is_ended(&id) {
+                if self.store.is_job_ended(&id) {
                     continue;
                 }
                 let Some(lease) = Lease::acquire(self.store, &id, number, worker)? else {
                     continue;
                 };
                 // It may have ended between the two.
-                if self.store.is_ended(&id) {
+                if self.store.is_job_ended(&id) {
                     lease::remove_leases(self.store, &id)?;
                     continue;
                 }
@@ -198,12 +198,12 @@ impl WorkerThreads<'_> {
 
     /// Returns the jobs that wait, in an order of this process, and how many have not ended.
     fn waiting_jobs(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
-        let leases = lease::find_newest(self.store)?;
+        let leases = lease::find_newest_leases(self.store)?;
         let now = Instant::now();
-        let open = self.store.job_ids()?.into_iter().filter(|id| !self.store.is_ended(id));
+        let open = self.store.job_ids()?.into_iter().filter(|id| !self.store.is_job_ended(id));
         let open: Vec<String> = open.collect();
         // What a worker has left that was killed after its result.
-        for id in leases.keys().filter(|id| self.store.is_ended(id)) {
+        for id in leases.keys().filter(|id| self.store.is_job_ended(id)) {
             self.store.clear_staging(&format!("result-{id}-"))?;
             lease::remove_leases(self.store, id)?;
         }
@@ -326,7 +326,7 @@ fn publish_result(
         files: files.iter().map(named).collect(),
     };
     fs::write(staged.path().join("result.json"), serde_json::to_string_pretty(&done)? + "\n")?;
-    store.publish(staged, &store.result_folder(id))
+    store.publish_folder(staged, &store.result_folder(id))
 }
 
 /// Where the jobs of a folder stand.
@@ -362,8 +362,8 @@ pub struct JobStatus {
 /// # Errors
 /// The folder cannot be read.
 pub fn read_status(store: &FleetStore) -> io::Result<FleetStatus> {
-    let leases = lease::find_newest(store)?;
-    let failed = store.list("failed")?;
+    let leases = lease::find_newest_leases(store)?;
+    let failed = store.list_subfolder("failed")?;
     let mut status = FleetStatus::default();
     for id in store.job_ids()? {
         let machine = Job::read(store, &id).map(|job| job.machine).unwrap_or_default();

@@ -90,10 +90,10 @@ impl CncTransmitter {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, CncMessage, Conditions, Spindle, TravelDirection},
+        cnc::{AxisPosition, CncMessage, MachineConditions, SpindleState, TravelDirection},
         units::{Position, Rpm},
     };
-    use trueup_link::receiver::Receiver;
+    use trueup_link::receiver::CncReceiver;
 
     #[test]
     fn a_plc_that_is_faster_than_the_bus_loses_nothing_but_repetitions() {
@@ -106,14 +106,15 @@ mod tests {
             control: Control::REFERENCED,
             positions: LinearAxis::ALL.map(|axis| Some(at(axis))),
             rotary: None,
-            spindle: Some(Spindle { speed: Rpm(9), load_n: -3 }),
+            spindle: Some(SpindleState { speed: Rpm(9), load_n: -3 }),
             conditions: None,
         };
-        let (mut transmitter, mut receiver) = (CncTransmitter::default(), Receiver::new());
+        let (mut transmitter, mut receiver) = (CncTransmitter::default(), CncReceiver::new());
         let (mut controls, mut tools, mut positions, mut others) = (vec![], vec![], 0, 0);
         for ms in 0..100 {
             cnc_data.control.engage = ms >= 33;
-            cnc_data.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
+            cnc_data.conditions =
+                Some(MachineConditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
             transmitter.queue_frames(Duration::from_millis(ms), &cnc_data);
             for frame in transmitter.take_frames() {
                 match receiver.accept(&frame).expect("in order") {

@@ -57,7 +57,7 @@ pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
     let now = shared.now();
     let bridge_line = shared.link_state();
     let hub = shared.lock_hub();
-    let (input, counters) = (hub.current_input(), hub.counters());
+    let (input, counters) = (hub.current_input_block(), hub.counters());
     let mut bridge = output_to_json(Some(&input.output));
     if let Some(bridge) = bridge.as_object_mut() {
         bridge.insert("line".into(), link_state_name(bridge_line.is_up).into());
@@ -74,7 +74,7 @@ pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
         bridge.insert("pinned_calibration".into(), expected.into());
         bridge.insert("not_engaged".into(), pinned.refusal().into());
     }
-    let control = hub.control(now);
+    let control = hub.fresh_control(now);
     json!({
         "t_s": (now.as_secs_f64() * 1e3).round() / 1e3,
         "bridge": bridge,

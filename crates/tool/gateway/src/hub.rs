@@ -17,13 +17,13 @@
 use std::time::Duration;
 
 use trueup_client::{pinned_calibration::PinnedCalibration, status::BoardStatus};
-use trueup_core::cnc::{Control, Output, Quality};
+use trueup_core::cnc::{Control, OffsetQuality, Output};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
-    receiver::{Counters, OffsetReceiver},
+    receiver::{FrameCounters, OffsetReceiver},
     slcan::Event,
-    status::{Item, StateBits, decode},
+    status::{StateBits, StatusItem, decode},
 };
 use trueup_modbus::{
     holding::{self, BlockRejectReason, Checker, CncData},
@@ -116,7 +116,7 @@ impl Hub {
     #[must_use]
     pub fn new(pinned: PinnedCalibration) -> Self {
         let input = InputBlock {
-            output: Output { quality: Quality::Fault, ..Output::default() },
+            output: Output { quality: OffsetQuality::Fault, ..Output::default() },
             age_ms: u16::MAX,
             ..InputBlock::default()
         };
@@ -153,13 +153,13 @@ impl Hub {
     pub fn receive(&mut self, now: Duration, event: &Event) {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => {
-                let refused = self.board.rejected_frame_count();
+                let refused = self.board.rejected_status_frame_count();
                 self.board.receive(frame);
-                if self.board.rejected_frame_count() == refused {
+                if self.board.rejected_status_frame_count() == refused {
                     self.status_received = Some(now);
                     match decode(frame).map(|status| status.item) {
-                        Ok(Item::Calibration(_)) => self.calibration_received = Some(now),
-                        Ok(Item::Slope { axis, .. }) => {
+                        Ok(StatusItem::Calibration(_)) => self.calibration_received = Some(now),
+                        Ok(StatusItem::Slope { axis, .. }) => {
                             if let Some(received) = self.slopes_received.get_mut(usize::from(axis))
                             {
                                 *received = Some(now);
@@ -171,9 +171,9 @@ impl Hub {
             }
             Event::Frame(frame) => {
                 if let Ok(Some(output)) = self.offsets.accept(frame) {
-                    let is_available = output.quality != Quality::Fault;
+                    let is_available = output.quality != OffsetQuality::Fault;
                     let was_available =
-                        self.last.is_some_and(|(_, last)| last.quality != Quality::Fault);
+                        self.last.is_some_and(|(_, last)| last.quality != OffsetQuality::Fault);
                     if was_available && !is_available {
                         self.was_away = Some(now);
                     }
@@ -230,14 +230,14 @@ impl Hub {
             return;
         }
         self.is_new = false;
-        let silent = Output { quality: Quality::Fault, ..Output::default() };
+        let silent = Output { quality: OffsetQuality::Fault, ..Output::default() };
         self.input.counter = self.input.counter.wrapping_add(1);
         self.input.output = fresh.unwrap_or(silent);
         // "Not available" and "fault" go together, whichever of them the bridge has sent.
-        if self.input.output.offset.is_none() || self.input.output.quality == Quality::Fault {
-            (self.input.output.offset, self.input.output.quality) = (None, Quality::Fault);
+        if self.input.output.offset.is_none() || self.input.output.quality == OffsetQuality::Fault {
+            (self.input.output.offset, self.input.output.quality) = (None, OffsetQuality::Fault);
         }
-        self.input.age_ms = self.age_ms(now);
+        self.input.age_ms = self.output_age_ms(now);
         let knows = self.status_received.is_some_and(|at| now.saturating_sub(at) <= STATUS_TIMEOUT);
         let second =
             self.second_master.is_some_and(|at| now.saturating_sub(at) <= SECOND_MASTER_HOLD_TIME);
@@ -292,7 +292,7 @@ impl Hub {
         (now.saturating_sub(*received) <= STALE_TIMEOUT).then_some(output)
     }
 
-    fn age_ms(&self, now: Duration) -> u16 {
+    fn output_age_ms(&self, now: Duration) -> u16 {
         let Some((received, output)) = self.last else { return u16::MAX };
         let waited = u16::try_from(now.saturating_sub(received).as_millis()).unwrap_or(u16::MAX);
         waited.saturating_add(output.age_ms.into())
@@ -306,7 +306,7 @@ impl Hub {
 
     /// Returns what it says.
     #[must_use]
-    pub(crate) fn current_input(&self) -> &InputBlock {
+    pub(crate) fn current_input_block(&self) -> &InputBlock {
         &self.input
     }
 
@@ -318,9 +318,12 @@ impl Hub {
 
     /// Returns what has arrived from the bridge, in frames.
     #[must_use]
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> FrameCounters {
         let counters = self.offsets.counters();
-        Counters { malformed: counters.malformed.saturating_add(self.malformed_lines), ..counters }
+        FrameCounters {
+            malformed: counters.malformed.saturating_add(self.malformed_lines),
+            ..counters
+        }
     }
 
     /// Returns the holding block that was last used.
@@ -331,7 +334,7 @@ impl Hub {
 
     /// Returns the last values of the PLC, while that is not older than `MASTER_TIMEOUT`.
     #[must_use]
-    pub fn control(&self, now: Duration) -> Option<Control> {
+    pub fn fresh_control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;
         (now.saturating_sub(at) <= MASTER_TIMEOUT).then_some(control)
     }
@@ -360,7 +363,7 @@ impl Hub {
         }
         let checked = self.checker.accept(block);
         match checked {
-            Ok(_) if self.is_possibly_stale(now, master) => {
+            Ok(_) if self.detect_stale_block(now, master) => {
                 self.master = Some((master, now));
                 self.record_refusal(REFUSED_STALE);
                 Ok(BlockOutcome::MayBeOld)
@@ -368,7 +371,7 @@ impl Hub {
             Ok(cnc_data) => {
                 self.master = Some((master, now));
                 self.holding = *block;
-                self.apply_block(now, cnc_data);
+                self.apply_cnc_data(now, cnc_data);
                 Ok(BlockOutcome::Used)
             }
             Err(refused) => {
@@ -392,7 +395,7 @@ impl Hub {
     }
 
     /// Returns whether a whole block may have waited in the line since the one before it. A slow PLC has a slow pace.
-    fn is_possibly_stale(&mut self, now: Duration, master: MasterId) -> bool {
+    fn detect_stale_block(&mut self, now: Duration, master: MasterId) -> bool {
         let before = self.arrived.replace((master, now));
         let Some((_, at)) = before.filter(|(of, _)| *of == master) else {
             (self.pace, self.doubted_until) = (None, Duration::ZERO);
@@ -406,7 +409,7 @@ impl Hub {
         now < self.doubted_until
     }
 
-    fn apply_block(&mut self, now: Duration, mut cnc_data: CncData) {
+    fn apply_cnc_data(&mut self, now: Duration, mut cnc_data: CncData) {
         // A bridge that has yet to say what it runs on is no matter for the PLC.
         if cnc_data.control.engage && self.pinned.is_engage_refused() {
             self.record_refusal(REFUSED_CALIBRATION);

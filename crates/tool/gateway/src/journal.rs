@@ -17,7 +17,7 @@ use crate::health::IMMEDIATE_MEMBERS;
 /// From one line to the next where nothing changes.
 pub(crate) const JOURNAL_PERIOD: Duration = Duration::from_secs(300);
 /// The same for a person who watches; then no line is withheld.
-pub(crate) const INTERACTIVE_PERIOD: Duration = Duration::from_secs(1);
+pub(crate) const INTERACTIVE_JOURNAL_PERIOD: Duration = Duration::from_secs(1);
 /// The largest allowance, in bytes: two hundred changes at once.
 const MAX_ALLOWANCE_BYTES: f64 = 250_000.0;
 /// Rate at which the allowance grows: with the largest allowance 0.98 MB in 24 hours.
@@ -49,7 +49,7 @@ impl JournalLimiter {
     #[must_use]
     pub fn new(is_watched: bool) -> Self {
         Self {
-            period: if is_watched { INTERACTIVE_PERIOD } else { JOURNAL_PERIOD },
+            period: if is_watched { INTERACTIVE_JOURNAL_PERIOD } else { JOURNAL_PERIOD },
             is_limited: !is_watched,
             due: None,
             allowance: MAX_ALLOWANCE_BYTES,
@@ -84,7 +84,7 @@ impl JournalLimiter {
     }
 
     /// Returns true if the message is to be written at once; else the next line counts it.
-    pub fn is_allowed(&mut self, now: Duration, message: &str) -> bool {
+    pub fn admit_message(&mut self, now: Duration, message: &str) -> bool {
         self.refill_allowance(now);
         let is_allowed = self.has_allowance(message.len());
         if is_allowed {
@@ -207,7 +207,7 @@ mod tests {
     fn a_message_that_is_withheld_is_counted_and_one_who_watches_sees_all() {
         let mut journal = JournalLimiter::new(false);
         let message = "x".repeat(10_000);
-        let written = (0..30).filter(|_| journal.is_allowed(Duration::ZERO, &message)).count();
+        let written = (0..30).filter(|_| journal.admit_message(Duration::ZERO, &message)).count();
         assert_eq!(written, 24);
         let line = json!({ "bridge": {} });
         assert!(!journal.is_due(Duration::ZERO, &line), "there is no room");

@@ -22,7 +22,7 @@ use crate::{backoff::Backoff, bridge::SharedHub, health::SharedPlcStatus, hub::M
 use client::{Client, CpuAddress, Error};
 
 /// Where the holding block begins in the data block, in bytes.
-pub(crate) const HOLDING_OFFSET: usize = 64;
+pub(crate) const HOLDING_OFFSET_BYTES: usize = 64;
 /// Bytes of the holding block, and of one in a data block that ends without tool and conditions.
 const HOLDING_BYTES: usize = 2 * WHOLE_HOLDING_LEN;
 const SHORT_HOLDING_BYTES: usize = 2 * HOLDING_LEN;
@@ -31,7 +31,7 @@ const MASTER_ID: u64 = 0;
 
 /// Where the block is.
 #[derive(Clone, Debug)]
-pub struct BlockAddress {
+pub struct BlockExchangeSettings {
     /// The CPU.
     pub place: CpuAddress,
     /// The number of the data block.
@@ -39,12 +39,12 @@ pub struct BlockAddress {
     /// From one write to the next.
     pub period: Duration,
     /// Content of the block.
-    pub mode: Mode,
+    pub mode: InputBlockContent,
 }
 
 /// Content that is written into the block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
+pub enum InputBlockContent {
     /// The offsets.
     #[default]
     Offsets,
@@ -53,8 +53,8 @@ pub enum Mode {
 }
 
 /// Writes and reads until the end.
-pub fn serve(shared: &SharedHub, target: &BlockAddress, end: &SharedPlcStatus) {
-    if target.mode == Mode::Slope {
+pub fn serve(shared: &SharedHub, target: &BlockExchangeSettings, end: &SharedPlcStatus) {
+    if target.mode == InputBlockContent::Slope {
         shared.lock_hub().expect_slopes(shared.now());
     }
     let mut pause = Backoff::default();
@@ -81,7 +81,7 @@ pub fn serve(shared: &SharedHub, target: &BlockAddress, end: &SharedPlcStatus) {
 /// end.
 fn exchange_blocks(
     shared: &SharedHub,
-    target: &BlockAddress,
+    target: &BlockExchangeSettings,
     client: &mut Client,
     end: &SharedPlcStatus,
 ) -> (Option<Error>, bool) {
@@ -91,7 +91,7 @@ fn exchange_blocks(
     let mut due = Instant::now();
     while !shared.is_stop_requested() {
         let started = Instant::now();
-        let block = encode_input(shared, target.mode);
+        let block = encode_input_block(shared, target.mode);
         if let Err(error) = client.write(target.db, 0, &block) {
             return (Some(error), has_written);
         }
@@ -103,7 +103,7 @@ fn exchange_blocks(
         });
         let mut read = [0; HOLDING_BYTES];
         let requested_at = Instant::now();
-        match client.read(target.db, HOLDING_OFFSET, &mut read[..length]) {
+        match client.read(target.db, HOLDING_OFFSET_BYTES, &mut read[..length]) {
             Ok(()) => {}
             Err(Error::Item(_)) if length == HOLDING_BYTES => {
                 length = SHORT_HOLDING_BYTES;
@@ -113,7 +113,7 @@ fn exchange_blocks(
         }
         let block = decode_registers(&read);
         // An answer that took long may be as old as its question: it is seen, and not sent on.
-        if seen.has_changed(block) && requested_at.elapsed() <= MASTER_TIMEOUT {
+        if seen.detect_change(block) && requested_at.elapsed() <= MASTER_TIMEOUT {
             // There is no second master here, and what is refused is reported in the block.
             shared.lock_hub().accept_block(shared.now(), MASTER_ID, &block).ok();
         }
@@ -134,7 +134,7 @@ struct BlockChangeDetector(Option<holding::Registers>);
 
 impl BlockChangeDetector {
     /// Returns whether the PLC has sent this since the last look: not at the first, and not what stands there.
-    fn has_changed(&mut self, block: holding::Registers) -> bool {
+    fn detect_change(&mut self, block: holding::Registers) -> bool {
         self.0.replace(block).is_some_and(|before| before != block)
     }
 }
@@ -143,9 +143,9 @@ impl BlockChangeDetector {
 ///
 /// # Errors
 /// The CPU cannot be reached, has no such data block, or has not kept what was written.
-pub fn write_and_verify(shared: &SharedHub, target: &BlockAddress) -> Result<(), Error> {
+pub fn write_and_verify(shared: &SharedHub, target: &BlockExchangeSettings) -> Result<(), Error> {
     let mut client = Client::connect(&target.place)?;
-    let written = encode_input(shared, target.mode);
+    let written = encode_input_block(shared, target.mode);
     client.write(target.db, 0, &written)?;
     let mut read = vec![0; written.len()];
     client.read(target.db, 0, &mut read)?;
@@ -153,11 +153,11 @@ pub fn write_and_verify(shared: &SharedHub, target: &BlockAddress) -> Result<(),
 }
 
 /// Returns the present input block.
-fn encode_input(shared: &SharedHub, mode: Mode) -> Vec<u8> {
+fn encode_input_block(shared: &SharedHub, mode: InputBlockContent) -> Vec<u8> {
     let hub = shared.lock_hub();
     match mode {
-        Mode::Offsets => encode_registers(&hub.input_registers()),
-        Mode::Slope => encode_registers(&hub.input_registers_with_slopes()),
+        InputBlockContent::Offsets => encode_registers(&hub.input_registers()),
+        InputBlockContent::Slope => encode_registers(&hub.input_registers_with_slopes()),
     }
 }
 
@@ -203,8 +203,12 @@ mod tests {
             PinnedCalibration::new(CalibrationPolicy::Any),
         );
         let place = cpu(answers, 1_000);
-        let target =
-            BlockAddress { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
+        let target = BlockExchangeSettings {
+            place,
+            db: 900,
+            period: Duration::from_millis(1),
+            mode: InputBlockContent::Offsets,
+        };
         let mut client = Client::connect(&target.place).expect("a CPU");
         // It goes at its end.
         let (why, has_written) =
@@ -217,7 +221,7 @@ mod tests {
     fn what_a_stopped_program_has_left_in_the_block_is_no_sign_of_life() {
         let mut seen = BlockChangeDetector::default();
         let blocks = [7, 7, 7, 8, 8, 9].map(|counter| CncData::default().encode(counter));
-        let new = blocks.map(|block| seen.has_changed(block));
+        let new = blocks.map(|block| seen.detect_change(block));
         assert_eq!(new, [false, false, false, true, false, true]);
     }
 }

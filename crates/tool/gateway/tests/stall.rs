@@ -15,14 +15,14 @@ use std::{
 
 use trueup_client::duplex_stream::DuplexStream;
 use trueup_core::{
-    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Output, Quality, TravelDirection},
+    cnc::{AxisPosition, CncMessage, Control, LinearAxis, OffsetQuality, Output, TravelDirection},
     units::{Nanometres, Position},
 };
 use trueup_gateway::{
     bridge::{SharedHub, spawn_bridge_thread},
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
-use trueup_link::{frames, receiver::Receiver, slcan::Port};
+use trueup_link::{frames, receiver::CncReceiver, slcan::Port};
 use trueup_modbus::{holding::CncData, input::InputBlock};
 
 const MS: Duration = Duration::from_millis(1);
@@ -52,7 +52,7 @@ fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
         for stream in listener.incoming() {
             let Ok(mut stream) = stream else { return };
             stream.set_nonblocking(true).expect("a socket");
-            let (mut port, mut receiver, mut bytes) = (Port::new(1), Receiver::new(), [0; 512]);
+            let (mut port, mut receiver, mut bytes) = (Port::new(1), CncReceiver::new(), [0; 512]);
             let (mut counter, mut waiting) = (0_u8, Vec::new());
             'client: loop {
                 match stream.read(&mut bytes) {
@@ -73,7 +73,8 @@ fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
                 if port.is_open() {
                     let z = Nanometres(ms(start) * NANOMETRES_PER_MS);
                     let offset = Some([Nanometres(0), Nanometres(0), z]);
-                    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+                    let output =
+                        Output { offset, quality: OffsetQuality::Live, ..Output::default() };
                     port.send(&frames::encode_offset_xy(&output, counter));
                     port.send(&frames::encode_offset_z(&output, counter));
                     counter = counter.wrapping_add(1);

@@ -1,6 +1,6 @@
 //! Questions about a file that only the user can answer, and the answers from flags, a terminal or a map of headers.
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 use trueup_output::escape::shell_quote;
 
 use crate::{number::DecimalSeparator, timestamp::DateOrder};
@@ -49,7 +49,7 @@ pub struct Answers {
 
 /// The topic of a question.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Topic {
+pub enum QuestionTopic {
     /// The sign before the decimals.
     Decimal,
     /// The order of the numbers of a date.
@@ -76,7 +76,7 @@ pub struct Question {
     /// The question, a sentence without its stop.
     pub text: String,
     /// Its topic.
-    pub topic: Topic,
+    pub topic: QuestionTopic,
     /// Values that may be given.
     pub choices: Vec<String>,
     /// Other values than the choices may be given.
@@ -92,25 +92,27 @@ impl Question {
         let others =
             if others.is_empty() { String::new() } else { format!(" (or {})", others.join(", ")) };
         let value = match &self.topic {
-            Topic::Decimal => format!("--decimal {first}"),
-            Topic::Date => format!("--date {first}"),
-            Topic::Unit(column) => format!("--unit {}", quoted_assignment(column, first)),
-            Topic::Column(column) => format!("--column {}", quoted_assignment(column, first)),
-            Topic::Sheet => format!("--sheet {}", shell_quote(first)),
-            Topic::CountsPerV => {
+            QuestionTopic::Decimal => format!("--decimal {first}"),
+            QuestionTopic::Date => format!("--date {first}"),
+            QuestionTopic::Unit(column) => format!("--unit {}", quoted_assignment(column, first)),
+            QuestionTopic::Column(column) => {
+                format!("--column {}", quoted_assignment(column, first))
+            }
+            QuestionTopic::Sheet => format!("--sheet {}", shell_quote(first)),
+            QuestionTopic::CountsPerV => {
                 "--counts-per-v N, or --machine M.toml, which has the input's scale".into()
             }
-            Topic::SummerTime => format!("--summer-time {first}"),
-            Topic::Runs => format!("--runs {first}"),
+            QuestionTopic::SummerTime => format!("--summer-time {first}"),
+            QuestionTopic::Runs => format!("--runs {first}"),
         };
         value + &others
     }
 
     /// Returns the question as an error of the file.
     #[must_use]
-    pub fn into_error(self) -> BadInput {
+    pub fn into_error(self) -> InputFileError {
         let help = format!("Add {}", self.flag());
-        BadInput::new(self.place, self.text).with_help(help)
+        InputFileError::new(self.place, self.text).with_help(help)
     }
 }
 
@@ -162,20 +164,20 @@ impl Answers {
     ///
     /// # Errors
     /// The value is none that answers it.
-    pub fn record_answer(&mut self, topic: &Topic, value: &str) -> Result<(), String> {
+    pub fn record_answer(&mut self, topic: &QuestionTopic, value: &str) -> Result<(), String> {
         let value = value.trim();
         let wrong = |rule: &str| format!("must be {rule}, not {value}");
         match topic {
-            Topic::Decimal => {
+            QuestionTopic::Decimal => {
                 self.decimal = Some(
                     DecimalSeparator::from_name(value).ok_or_else(|| wrong("comma or point"))?,
                 )
             }
-            Topic::Date => {
+            QuestionTopic::Date => {
                 self.date =
                     Some(DateOrder::from_name(value).ok_or_else(|| wrong("dmy, mdy or ymd"))?)
             }
-            Topic::Unit(column) => {
+            QuestionTopic::Unit(column) => {
                 if crate::unit::parse(value).is_none()
                     && !crate::column_meaning::is_clock_format(value)
                 {
@@ -183,19 +185,19 @@ impl Answers {
                 }
                 self.units.push((column.clone(), value.into()));
             }
-            Topic::Column(column) => self.columns.push((column.clone(), value.into())),
-            Topic::Sheet => self.sheet = Some(value.into()),
-            Topic::CountsPerV => {
+            QuestionTopic::Column(column) => self.columns.push((column.clone(), value.into())),
+            QuestionTopic::Sheet => self.sheet = Some(value.into()),
+            QuestionTopic::CountsPerV => {
                 let number =
                     value.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
                 self.counts_per_v = Some(number.ok_or_else(|| wrong("a number above 0"))?);
             }
-            Topic::SummerTime => match value {
+            QuestionTopic::SummerTime => match value {
                 "yes" => self.summer_time = Some(true),
                 "no" => self.summer_time = Some(false),
                 _ => return Err(wrong("yes or no")),
             },
-            Topic::Runs => match value {
+            QuestionTopic::Runs => match value {
                 "one-way" => self.there_and_back = Some(false),
                 "there-and-back" => self.there_and_back = Some(true),
                 _ => return Err(wrong("one-way or there-and-back")),
@@ -227,13 +229,13 @@ impl Answers {
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImportError {
     /// It breaks a rule.
-    Bad(BadInput),
+    Bad(InputFileError),
     /// These questions are open, at least one.
     Open(Vec<Question>),
 }
 
-impl From<BadInput> for ImportError {
-    fn from(error: BadInput) -> Self {
+impl From<InputFileError> for ImportError {
+    fn from(error: InputFileError) -> Self {
         Self::Bad(error)
     }
 }

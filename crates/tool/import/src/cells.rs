@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 
 use crate::{
-    answers::{ImportError, Question, Topic},
-    grid::{Cell, Content},
+    answers::{ImportError, Question, QuestionTopic},
+    grid::{Cell, CellContent},
     layout::SourceTable,
     number::{self, DecimalEvidence, DecimalSeparator},
     timestamp, unit, vocabulary,
@@ -31,12 +31,12 @@ impl CellCounts {
     pub(crate) fn from_cells<'c>(cells: impl Iterator<Item = &'c Cell>) -> Self {
         let mut counts = Self::default();
         for cell in cells {
-            let Content::Text(text) = &cell.content else {
+            let CellContent::Text(text) = &cell.content else {
                 match cell.content {
-                    Content::Date(_) => counts.stamps += 1,
+                    CellContent::Date(_) => counts.stamps += 1,
                     _ => {
                         counts.numbers += 1;
-                        counts.directions += usize::from(is_sign(cell));
+                        counts.directions += usize::from(is_direction_sign(cell));
                     }
                 }
                 continue;
@@ -73,8 +73,8 @@ impl CellCounts {
     }
 }
 
-fn is_sign(cell: &Cell) -> bool {
-    matches!(cell.content, Content::Number(value) if value.abs() == 1.0)
+fn is_direction_sign(cell: &Cell) -> bool {
+    matches!(cell.content, CellContent::Number(value) if value.abs() == 1.0)
 }
 
 /// Returns the sign before the decimals of the file.
@@ -91,7 +91,7 @@ pub(crate) fn detect_decimal_separator(
     for (row, at) in
         layout.rows.iter().flat_map(|row| (0..row.cells.len()).map(move |at| (row, at)))
     {
-        let Content::Text(text) = &row.cells[at].content else { continue };
+        let CellContent::Text(text) = &row.cells[at].content else { continue };
         let (digits, unit) = number::split_unit(text);
         if !(unit.is_empty() || unit::parse(unit).is_some()) {
             continue;
@@ -107,7 +107,9 @@ pub(crate) fn detect_decimal_separator(
                     );
                     let help =
                         "write all numbers one way, or state which one is right: --decimal comma";
-                    return Err(BadInput::new(row.location(path, at), rule).with_help(help).into());
+                    return Err(InputFileError::new(row.location(path, at), rule)
+                        .with_help(help)
+                        .into());
                 }
             }
             Some(DecimalEvidence::Either(found)) => {
@@ -136,7 +138,7 @@ pub(crate) fn detect_decimal_separator(
             Err(ImportError::Open(vec![Question {
                 place,
                 text: format!("{digits} reads as {small} or as {large}"),
-                topic: Topic::Decimal,
+                topic: QuestionTopic::Decimal,
                 choices: vec![found.name().into(), other.name().into()],
                 is_open: false,
             }]))
@@ -150,9 +152,9 @@ pub(crate) fn parse_number_with_unit(
     decimal: DecimalSeparator,
 ) -> Option<(f64, &str)> {
     match &cell.content {
-        Content::Number(value) => Some((*value, "")),
-        Content::Date(_) => None,
-        Content::Text(text) => {
+        CellContent::Number(value) => Some((*value, "")),
+        CellContent::Date(_) => None,
+        CellContent::Text(text) => {
             let (digits, unit) = number::split_unit(text);
             Some((number::parse(digits, decimal)?, unit))
         }

@@ -12,10 +12,10 @@ use crate::{
 };
 
 /// The column of deviations in a run file.
-const DEVIATION_COLUMN: &str = "measured_dr_um";
+const RADIAL_DEVIATION_COLUMN: &str = "measured_dr_um";
 
 /// Beginnings of the names of columns of angles.
-const ANGLE_WORDS: &[&str] = &["angle", "winkel", "phi", "theta"];
+const ANGLE_PREFIXES: &[&str] = &["angle", "winkel", "phi", "theta"];
 /// Parts of the names of columns of deviations.
 const DEVIATION_WORDS: &[&str] =
     &["dr", "radial", "radius", "deviation", "abweichung", "error", "fehler"];
@@ -23,14 +23,16 @@ const DEVIATION_WORDS: &[&str] =
 /// Returns the answers with the name of the deviation, which is of no axis here, where the user has not named it.
 pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> Answers {
     let mut answers = answers.clone();
-    let is_named = |(_, name): &(String, String)| name == DEVIATION_COLUMN;
+    let is_named = |(_, name): &(String, String)| name == RADIAL_DEVIATION_COLUMN;
     if answers.circle.is_some() && !answers.columns.iter().any(is_named) {
         let is_one = |header: &&String| {
             slugify(header).split('_').any(|word| DEVIATION_WORDS.contains(&word))
         };
         let headers = layout.columns.iter().map(|column| &column.header);
-        let found =
-            headers.filter(is_one).take(1).map(|header| (header.clone(), DEVIATION_COLUMN.into()));
+        let found = headers
+            .filter(is_one)
+            .take(1)
+            .map(|header| (header.clone(), RADIAL_DEVIATION_COLUMN.into()));
         answers.columns.extend(found.collect::<Vec<_>>());
     }
     answers
@@ -40,13 +42,13 @@ pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> 
 ///
 /// # Errors
 /// There is no column of angles, or none of deviations: the text names the option.
-pub(crate) fn convert_to_positions(
+pub(crate) fn convert_angles_to_positions(
     columns: &mut Vec<ConvertedColumn>,
     circle: &Circle,
 ) -> Result<(), String> {
     let is_angle = |name: &str| {
         let of_unit = name.ends_with("_deg") || name.ends_with("_rad");
-        of_unit && ANGLE_WORDS.iter().any(|word| name.starts_with(word))
+        of_unit && ANGLE_PREFIXES.iter().any(|word| name.starts_with(word))
     };
     let angle = columns
         .iter()
@@ -63,7 +65,7 @@ pub(crate) fn convert_to_positions(
     if column.name.ends_with("_mm") {
         column.values.iter_mut().for_each(|value| *value *= 1e3);
     }
-    (column.name, column.to) = (DEVIATION_COLUMN.into(), "µm".into());
+    (column.name, column.to) = (RADIAL_DEVIATION_COLUMN.into(), "µm".into());
 
     let of_angle = columns.remove(angle);
     let is_deg = of_angle.name.ends_with("_deg");

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 
 use crate::{
-    answers::{ImportError, Question, Topic},
-    grid::{Cell, Content, Row},
+    answers::{ImportError, Question, QuestionTopic},
+    grid::{Cell, CellContent, Row},
     timestamp::{self, DateOrder, Timestamp, TwoPartTimeFormat},
-    unit::round_significant,
+    unit::round_to_significant_digits,
 };
 
 /// How the cells of the time column are read.
@@ -21,8 +21,10 @@ pub(crate) struct TimeFormat {
 /// Returns the moment that a cell says.
 pub(crate) fn parse_timestamp(cell: &Cell, reading: TimeFormat) -> Option<Timestamp> {
     match &cell.content {
-        Content::Text(text) => timestamp::parse(text, reading.order, reading.pair),
-        Content::Number(days) | Content::Date(days) => Some(timestamp::from_serial(*days)),
+        CellContent::Text(text) => timestamp::parse(text, reading.order, reading.pair),
+        CellContent::Number(days) | CellContent::Date(days) => {
+            Some(timestamp::from_serial_date(*days))
+        }
     }
 }
 
@@ -46,7 +48,7 @@ pub(crate) fn detect_date_order(
     use DateOrder::{DayMonth, MonthDay, Year};
     let first = rows.iter().find_map(|row| {
         let open = |at: &&usize| {
-            matches!(&row.cells[**at].content, Content::Text(text) if timestamp::has_ambiguous_order(text) && timestamp::is_timestamp(text))
+            matches!(&row.cells[**at].content, CellContent::Text(text) if timestamp::has_ambiguous_order(text) && timestamp::is_timestamp(text))
         };
         columns.iter().find(open).map(|at| (row, *at))
     });
@@ -73,7 +75,7 @@ pub(crate) fn detect_date_order(
     let left: Vec<&(DateOrder, Vec<i64>)> =
         if rising.is_empty() { readings.iter().collect() } else { rising };
     match &left[..] {
-        [] => Err(BadInput::new(
+        [] => Err(InputFileError::new(
             row.location(path, at),
             format!("{} is no date of the calendar", row.cells[at].text()),
         )
@@ -85,7 +87,7 @@ pub(crate) fn detect_date_order(
         [..] => Err(ImportError::Open(vec![Question {
             place: row.location(path, at),
             text: format!("{} reads as more than one date", row.cells[at].text()),
-            topic: Topic::Date,
+            topic: QuestionTopic::Date,
             choices: left.iter().map(|(order, _)| order.name().into()).collect(),
             is_open: false,
         }])),
@@ -116,7 +118,7 @@ pub(crate) fn detect_two_part_format(
     let texts: Vec<&str> = rows
         .iter()
         .filter_map(|row| match &row.cells[at].content {
-            Content::Text(text) if !text.trim().is_empty() => Some(text.trim()),
+            CellContent::Text(text) if !text.trim().is_empty() => Some(text.trim()),
             _ => None,
         })
         .collect();
@@ -145,7 +147,7 @@ pub(crate) fn detect_two_part_format(
     Err(ImportError::Open(vec![Question {
         place: row.unwrap_or(&rows[0]).location(path, at),
         text: format!("{first} reads as hours and minutes, or as minutes and seconds"),
-        topic: Topic::Unit(header.into()),
+        topic: QuestionTopic::Unit(header.into()),
         choices: vec!["h:mm".into(), "mm:ss".into()],
         is_open: false,
     }]))
@@ -179,7 +181,7 @@ pub(crate) fn compute_elapsed_seconds(
         let row =
             stamps.iter().position(|stamp| stamp.is_some_and(|stamp| !stamp.has_zone)).unwrap_or(0);
         let rule = "has no time zone, other times of the file have one";
-        return Err(BadInput::new(rows[row].location(path, at), rule)
+        return Err(InputFileError::new(rows[row].location(path, at), rule)
             .with_help("give all of them a zone, or none")
             .into());
     }
@@ -189,7 +191,7 @@ pub(crate) fn compute_elapsed_seconds(
         .map(|stamp| stamp.map_or(f64::NAN, |stamp| stamp.total_s() - start_s))
         .collect();
     let is_wall_clock = has_date || stamps.iter().flatten().any(|stamp| stamp.seconds.is_some());
-    accumulate_elapsed(
+    accumulate_elapsed_seconds(
         &raw,
         rows,
         at,
@@ -210,7 +212,7 @@ pub(crate) struct ClockJumps {
 }
 
 /// Follows a clock row by row.
-pub(crate) fn accumulate_elapsed(
+pub(crate) fn accumulate_elapsed_seconds(
     raw: &[f64],
     rows: &[Row],
     at: usize,
@@ -259,7 +261,7 @@ pub(crate) fn accumulate_elapsed(
                         return Err(ImportError::Open(vec![Question {
                             place: rows[row].location(path, at),
                             text: format!("the clock {rule} here: the change of summer time?"),
-                            topic: Topic::SummerTime,
+                            topic: QuestionTopic::SummerTime,
                             choices: vec!["yes".into(), "no".into()],
                             is_open: false,
                         }]));
@@ -275,7 +277,7 @@ pub(crate) fn accumulate_elapsed(
                 ));
             }
         }
-        values[row] = round_significant(raw[row] + added_s);
+        values[row] = round_to_significant_digits(raw[row] + added_s);
         before = Some(row);
     }
     if notes.len() > 3 {
@@ -284,8 +286,8 @@ pub(crate) fn accumulate_elapsed(
     Ok(ElapsedSeconds { values, notes })
 }
 
-fn backward_clock_error(rows: &[Row], row: usize, at: usize, path: &Path) -> BadInput {
-    BadInput::new(
+fn backward_clock_error(rows: &[Row], row: usize, at: usize, path: &Path) -> InputFileError {
+    InputFileError::new(
         rows[row].location(path, at),
         format!("the time runs back to {}", rows[row].cells[at].text()),
     )

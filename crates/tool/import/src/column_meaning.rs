@@ -210,7 +210,7 @@ fn is_row_number_word(word: &str) -> bool {
     [ROW_WORDS, NUMBER_WORDS, STOP_WORDS].iter().any(|list| vocabulary::contains_word(list, word))
 }
 
-fn is_spindle(word: &str) -> bool {
+fn is_spindle_word(word: &str) -> bool {
     ["spindel", "spindle"].contains(&word)
 }
 
@@ -255,8 +255,9 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
     if dimension.is_none() && has(DATE_WORDS) {
         return ColumnMeaning::Date;
     }
-    let speed_words =
-        words.iter().any(|word| !is_spindle(word) && vocabulary::contains_word(SPEED_WORDS, word));
+    let speed_words = words
+        .iter()
+        .any(|word| !is_spindle_word(word) && vocabulary::contains_word(SPEED_WORDS, word));
     let is_in_speed_units = dimension == Some(Dimension::Speed) && has(SPEED_WORDS);
     if is_in_speed_units || (dimension.is_none() && speed_words) {
         return known("spindle_rpm");

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 
 use crate::{
     answers::{Answers, ImportError},
@@ -13,7 +13,7 @@ use crate::{
     layout::SourceTable,
     number::{self, DecimalSeparator},
     timestamp::{DateOrder, Timestamp, TwoPartTimeFormat},
-    unit::{Dimension, Unit, round_significant},
+    unit::{Dimension, Unit, round_to_significant_digits},
     vocabulary,
 };
 
@@ -96,9 +96,12 @@ impl TableConverter<'_> {
         let cell = self.layout.rows[row].cells[at].text();
         let short: String = cell.chars().take(40).collect();
         let place = self.layout.rows[row].location(self.path, at);
-        BadInput::new(place, format!("\"{short}\" {rule} in {}", self.layout.columns[at].header))
-            .with_help(help)
-            .into()
+        InputFileError::new(
+            place,
+            format!("\"{short}\" {rule} in {}", self.layout.columns[at].header),
+        )
+        .with_help(help)
+        .into()
     }
 
     /// Returns the numbers of a column as they are written, NaN where one is missing; those with `unit` behind them, or
@@ -326,14 +329,18 @@ impl TableConverter<'_> {
         let (seconds, from): (Vec<f64>, String) = match (unix, unit) {
             (Some((factor, unix)), None) => {
                 let start = there.first().copied().unwrap_or(0.0);
-                let seconds =
-                    raw.iter().map(|value| round_significant((value - start) * factor)).collect();
+                let seconds = raw
+                    .iter()
+                    .map(|value| round_to_significant_digits((value - start) * factor))
+                    .collect();
                 (seconds, format!("Unix time in {unix}"))
             }
             (Some((factor, _)), Some(unit)) if (unit.factor - factor).abs() < 1e-12 => {
                 let start = there.first().copied().unwrap_or(0.0);
-                let seconds =
-                    raw.iter().map(|value| round_significant((value - start) * factor)).collect();
+                let seconds = raw
+                    .iter()
+                    .map(|value| round_to_significant_digits((value - start) * factor))
+                    .collect();
                 (seconds, format!("Unix time in {}", unit.name))
             }
             (_, Some(unit)) => {
@@ -347,7 +354,7 @@ impl TableConverter<'_> {
         // A counter has no summer time, unless the user says that it has.
         let has_hours = answers.summer_time.is_some();
         let wall = ClockJumps { has_midnight: false, has_hours };
-        let found = clock::accumulate_elapsed(
+        let found = clock::accumulate_elapsed_seconds(
             &seconds,
             &self.layout.rows,
             at,

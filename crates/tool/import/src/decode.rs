@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 /// Decodes `bytes`: by `label` where there is one, else UTF-8 or UTF-16 where they are that, else Windows-1252, which
 /// has all of Latin-1.
@@ -16,27 +16,27 @@ pub(crate) fn decode(
     bytes: &[u8],
     label: Option<&str>,
     path: &Path,
-) -> Result<(String, &'static str), BadInput> {
+) -> Result<(String, &'static str), InputFileError> {
     let start = || Location::start_of_file(path);
     let encoding = match label {
         Some(label) => Encoding::for_label(label.as_bytes()).ok_or_else(|| {
-            BadInput::new(start(), format!("{label} is no encoding that is known")).with_help(
+            InputFileError::new(start(), format!("{label} is no encoding that is known")).with_help(
                 "--encoding utf-8, utf-16le, latin1, windows-1252, iso-8859-15, ibm866 …",
             )
         })?,
-        None => guess_encoding(bytes),
+        None => detect_encoding(bytes),
     };
     let (text, used, has_errors) = encoding.decode(bytes);
     let is_binary = text.chars().take(1 << 16).any(|c| c < ' ' && !"\t\n\r\u{c}".contains(c));
     if has_errors || is_binary {
         let rule = format!("is no text in {}", used.name());
         let help = "give the table as csv, tsv, txt, xlsx or ods; or name its encoding: --encoding";
-        return Err(BadInput::new(start(), rule).with_help(help));
+        return Err(InputFileError::new(start(), rule).with_help(help));
     }
     Ok((text.into_owned(), used.name()))
 }
 
-fn guess_encoding(bytes: &[u8]) -> &'static Encoding {
+fn detect_encoding(bytes: &[u8]) -> &'static Encoding {
     if let Some((encoding, _)) = Encoding::for_bom(bytes) {
         return encoding;
     }

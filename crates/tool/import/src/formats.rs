@@ -12,7 +12,7 @@ use std::path::Path;
 use crate::{
     answers::{Answers, ImportError},
     column_meaning::{ColumnMeaning, TargetColumn},
-    grid::{Cell, Content},
+    grid::{Cell, CellContent},
     layout::{SourceColumn, SourceTable},
 };
 use trueup_machine::Location;
@@ -86,5 +86,5 @@ fn known_meaning(name: &str) -> ColumnMeaning {
 }
 
 fn number_cell(value: f64) -> Cell {
-    Cell { content: Content::Number(value), column: 1 }
+    Cell { content: CellContent::Number(value), column: 1 }
 }

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use crate::timestamp;
 
 /// The content of a cell.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Content {
+pub(crate) enum CellContent {
     /// Text, which may be a number as people write it.
     Text(String),
     /// A number of a workbook.
@@ -20,7 +20,7 @@ pub(crate) enum Content {
 /// A cell and the column of the file in which it begins, from 1.
 #[derive(Clone, Debug)]
 pub(crate) struct Cell {
-    pub(crate) content: Content,
+    pub(crate) content: CellContent,
     pub(crate) column: usize,
 }
 
@@ -28,13 +28,13 @@ impl Cell {
     /// Returns the text of the cell, without blanks around it.
     pub(crate) fn text(&self) -> String {
         match &self.content {
-            Content::Text(text) => text.trim().to_string(),
-            Content::Number(value) | Content::Date(value) => value.to_string(),
+            CellContent::Text(text) => text.trim().to_string(),
+            CellContent::Number(value) | CellContent::Date(value) => value.to_string(),
         }
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        matches!(&self.content, Content::Text(text) if text.trim().is_empty())
+        matches!(&self.content, CellContent::Text(text) if text.trim().is_empty())
     }
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct Grid {
 }
 
 /// Separators that may stand between fields, the likeliest first.
-const SEPARATORS: [char; 5] = ['\t', ';', ',', '|', ' '];
+const FIELD_SEPARATORS: [char; 5] = ['\t', ';', ',', '|', ' '];
 
 /// Lines that the separator is chosen by.
 const SEPARATOR_SAMPLE_LINES: usize = 200;
@@ -79,7 +79,7 @@ const SEPARATOR_SAMPLE_LINES: usize = 200;
 ///
 /// # Errors
 /// A quoted field has no end.
-pub(crate) fn from_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
+pub(crate) fn from_text(text: &str, path: &Path) -> Result<Grid, InputFileError> {
     let (stated, skipped) = match text.lines().next().and_then(parse_separator_line) {
         Some(separator) => (Some(separator), 1),
         None => (None, 0),
@@ -124,7 +124,8 @@ fn join_header_cells(rows: &mut [Row], text: &str) {
             for cell in &row.cells {
                 match joined.last_mut() {
                     Some(last) if is_joined(cell) => {
-                        last.content = Content::Text(format!("{} {}", last.text(), cell.text()));
+                        last.content =
+                            CellContent::Text(format!("{} {}", last.text(), cell.text()));
                     }
                     _ => joined.push(cell.clone()),
                 }
@@ -163,7 +164,7 @@ fn detect_separator(text: &str) -> char {
         return *separator;
     }
     let mut best = (';', 0.0);
-    for separator in SEPARATORS {
+    for separator in FIELD_SEPARATORS {
         let counts: Vec<(usize, usize)> = lines
             .iter()
             .map(|line| {
@@ -186,7 +187,7 @@ fn detect_separator(text: &str) -> char {
     }
     // No numbers: by the header.
     let first = lines.first().copied().unwrap_or_default();
-    SEPARATORS.into_iter().find(|separator| first.contains(*separator)).unwrap_or(';')
+    FIELD_SEPARATORS.into_iter().find(|separator| first.contains(*separator)).unwrap_or(';')
 }
 
 /// Returns the fields of a line without its quotes, for the choice of the separator only.
@@ -230,7 +231,7 @@ pub(crate) fn is_comment(line: &str) -> bool {
     line.starts_with('#') || line.starts_with('%') || line.starts_with("//")
 }
 
-fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadInput> {
+fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, InputFileError> {
     let mut rows = Vec::new();
     let mut line = 1;
     let mut rest = text;
@@ -242,12 +243,12 @@ fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadI
             let field = next_field(rest, separator);
             let Some(field) = field else {
                 let place = Location { file: path.to_path_buf(), line: first_line, column };
-                return Err(BadInput::new(place, "a quoted field has no end")
+                return Err(InputFileError::new(place, "a quoted field has no end")
                     .with_help("write the closing quote, or leave the quotes out"));
             };
             let is_blank = separator == ' ' && field.text.trim().is_empty();
             if !is_blank {
-                cells.push(Cell { content: Content::Text(field.text), column });
+                cells.push(Cell { content: CellContent::Text(field.text), column });
             }
             line += field.lines;
             column += field.width + 1;
@@ -259,7 +260,7 @@ fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadI
         }
         line += 1;
         if cells.is_empty() {
-            cells.push(Cell { content: Content::Text(String::new()), column: 1 });
+            cells.push(Cell { content: CellContent::Text(String::new()), column: 1 });
         }
         rows.push(Row { line: first_line, cells });
     }

@@ -11,10 +11,10 @@
 use std::path::Path;
 
 use toml_edit::{Document, DocumentMut, Item, Table, TableLike, Value, value};
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use crate::{
-    answers::{Answers, Topic},
+    answers::{Answers, QuestionTopic},
     number::DecimalSeparator,
     timestamp::DateOrder,
 };
@@ -28,25 +28,25 @@ const COLUMN_KEYS: [&str; 3] = ["name", "unit", "negate"];
 ///
 /// # Errors
 /// It is no TOML, has a key that is not known, or a value that a key cannot have.
-pub fn parse(text: &str, path: &Path) -> Result<Answers, BadInput> {
+pub fn parse(text: &str, path: &Path) -> Result<Answers, InputFileError> {
     let place = |span: Option<std::ops::Range<usize>>| {
         Location::from_byte_offset(path, text, span.map_or(0, |span| span.start))
     };
     let document = Document::parse(text)
-        .map_err(|error| BadInput::new(place(error.span()), error.message().to_string()))?;
-    let bad = |item: &Item, rule: String| BadInput::new(place(item.span()), rule);
+        .map_err(|error| InputFileError::new(place(error.span()), error.message().to_string()))?;
+    let bad = |item: &Item, rule: String| InputFileError::new(place(item.span()), rule);
     let mut answers = Answers::default();
     for (key, item) in document.iter() {
         let word = || item.as_str().ok_or_else(|| bad(item, format!("{key} must be a text")));
         let taken = match key {
-            "decimal" => answers.record_answer(&Topic::Decimal, word()?),
-            "date" => answers.record_answer(&Topic::Date, word()?),
+            "decimal" => answers.record_answer(&QuestionTopic::Decimal, word()?),
+            "date" => answers.record_answer(&QuestionTopic::Date, word()?),
             "encoding" => {
                 answers.encoding = Some(word()?.into());
                 Ok(())
             }
-            "sheet" => answers.record_answer(&Topic::Sheet, word()?),
-            "runs" => answers.record_answer(&Topic::Runs, word()?),
+            "sheet" => answers.record_answer(&QuestionTopic::Sheet, word()?),
+            "runs" => answers.record_answer(&QuestionTopic::Runs, word()?),
             "summer_time" => {
                 answers.summer_time = Some(
                     item.as_bool()
@@ -58,7 +58,7 @@ pub fn parse(text: &str, path: &Path) -> Result<Answers, BadInput> {
                 let number =
                     item.as_float().or_else(|| item.as_integer().map(|value| value as f64));
                 answers.record_answer(
-                    &Topic::CountsPerV,
+                    &QuestionTopic::CountsPerV,
                     &number.map(|number| number.to_string()).unwrap_or_default(),
                 )
             }
@@ -84,8 +84,8 @@ fn parse_column(header: &str, item: &Item, answers: &mut Answers) -> Result<(), 
     for (key, item) in table.iter() {
         let word = || item.as_str().ok_or_else(|| format!("{key} must be a text"));
         match key {
-            "name" => answers.record_answer(&Topic::Column(header.into()), word()?)?,
-            "unit" => answers.record_answer(&Topic::Unit(header.into()), word()?)?,
+            "name" => answers.record_answer(&QuestionTopic::Column(header.into()), word()?)?,
+            "unit" => answers.record_answer(&QuestionTopic::Unit(header.into()), word()?)?,
             "negate" => {
                 if item.as_bool().ok_or("negate must be true or false")? {
                     answers.negate.push(header.into());
@@ -164,12 +164,12 @@ mod tests {
     fn a_map_gives_back_what_was_answered_and_keeps_what_is_there() {
         let mut answers = Answers { negate: vec!["Uhr".into()], ..Answers::default() };
         for (topic, value) in [
-            (Topic::Decimal, "comma"),
-            (Topic::Date, "mdy"),
-            (Topic::Column("Messuhr [µm]".into()), "measured_dx_um"),
-            (Topic::Unit("Uhr".into()), "mil"),
-            (Topic::CountsPerV, "2764.8"),
-            (Topic::Runs, "there-and-back"),
+            (QuestionTopic::Decimal, "comma"),
+            (QuestionTopic::Date, "mdy"),
+            (QuestionTopic::Column("Messuhr [µm]".into()), "measured_dx_um"),
+            (QuestionTopic::Unit("Uhr".into()), "mil"),
+            (QuestionTopic::CountsPerV, "2764.8"),
+            (QuestionTopic::Runs, "there-and-back"),
         ] {
             answers.record_answer(&topic, value).expect("an answer");
         }

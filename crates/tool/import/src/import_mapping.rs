@@ -5,11 +5,11 @@ mod disambiguation;
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, run_file::is_known_column};
+use trueup_machine::{InputFileError, run_file::is_known_column};
 use trueup_output::escape::shell_quote;
 
 use crate::{
-    answers::{Answers, ImportError, Question, Topic},
+    answers::{Answers, ImportError, Question, QuestionTopic},
     cells::CellCounts,
     column_meaning::{self, ColumnMeaning, Header, TargetColumn},
     layout::{SourceColumn, SourceTable},
@@ -65,12 +65,12 @@ pub(crate) fn find_answer<'a>(
     header: &str,
     target: &str,
 ) -> Option<&'a str> {
-    let found = answers.iter().find(|(column, _)| is_named(column, at, header, target));
+    let found = answers.iter().find(|(column, _)| matches_column(column, at, header, target));
     found.map(|(_, value)| value.as_str())
 }
 
 /// Returns true if `column` names the column number `at` (from 0).
-pub(crate) fn is_named(column: &str, at: usize, header: &str, target: &str) -> bool {
+pub(crate) fn matches_column(column: &str, at: usize, header: &str, target: &str) -> bool {
     let same = |a: &str, b: &str| !a.is_empty() && a.to_lowercase() == b.to_lowercase();
     let column = column.trim();
     same(column, header)
@@ -121,7 +121,8 @@ pub(crate) fn map_columns(
         };
         let header = draft.source.header.clone();
         let target = target_column(&role).map_or("", |target| target.name.as_str());
-        let is_negated = answers.negate.iter().any(|column| is_named(column, at, &header, target));
+        let is_negated =
+            answers.negate.iter().any(|column| matches_column(column, at, &header, target));
         plans.push(ColumnMapping { header, role, is_negated });
     }
     if !questions.is_empty() {
@@ -149,7 +150,7 @@ fn draft_column<'l>(
     layout: &'l SourceTable,
     at: usize,
     answers: &Answers,
-) -> Result<ColumnDraft<'l>, BadInput> {
+) -> Result<ColumnDraft<'l>, InputFileError> {
     let source = &layout.columns[at];
     let counts = CellCounts::from_cells(layout.rows.iter().map(|row| &row.cells[at]));
     let parts = if source.unit.is_empty() {
@@ -180,7 +181,7 @@ fn draft_column<'l>(
             let is_name = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
             if !is_name {
                 let rule = format!("{name} is no name for a column: letters, digits and _");
-                return Err(BadInput::new(source.place.clone(), rule));
+                return Err(InputFileError::new(source.place.clone(), rule));
             }
             ColumnMeaning::Known(TargetColumn::from_name(name))
         }
@@ -195,7 +196,7 @@ fn check_answers(
     drafts: &[ColumnDraft<'_>],
     answers: &Answers,
     path: &Path,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let target = |draft: &ColumnDraft<'_>| match &draft.meaning {
         ColumnMeaning::Known(target) => target.name.clone(),
         ColumnMeaning::Other(name) => name.clone(),
@@ -205,7 +206,7 @@ fn check_answers(
         drafts
             .iter()
             .enumerate()
-            .any(|(at, draft)| is_named(column, at, &draft.source.header, &target(draft)))
+            .any(|(at, draft)| matches_column(column, at, &draft.source.header, &target(draft)))
     };
     let named = answers
         .units
@@ -221,7 +222,7 @@ fn check_answers(
                 drafts.iter().map(|draft| draft.source.header.as_str()).collect();
             let place = drafts.first().map(|draft| draft.source.place.clone());
             let place = place.unwrap_or_else(|| trueup_machine::Location::start_of_file(path));
-            Err(BadInput::new(place, format!("there is no column {column}"))
+            Err(InputFileError::new(place, format!("there is no column {column}"))
                 .with_help(format!("there are: {}", there.join(", "))))
         }
     }
@@ -241,7 +242,7 @@ fn determine_role(
         ColumnMeaning::Date if is_moments => TargetColumn::from_name("time_s"),
         ColumnMeaning::Date if counts.others > 0 => {
             let rule = format!("{} holds no dates that are known", source.header);
-            return Err(BadInput::new(source.place.clone(), rule)
+            return Err(InputFileError::new(source.place.clone(), rule)
                 .with_help("write 2026-04-03, 03.04.2026 or 04/03/2026")
                 .into());
         }
@@ -277,7 +278,7 @@ fn determine_role(
             let rule = format!("{} holds words, no numbers", source.header);
             let help =
                 format!("leave it out: --column {}", shell_quote(&format!("{}=-", source.header)));
-            return Err(BadInput::new(source.place.clone(), rule).with_help(help).into());
+            return Err(InputFileError::new(source.place.clone(), rule).with_help(help).into());
         }
         return Ok(ColumnRole::Ignored("it is text"));
     }
@@ -309,7 +310,7 @@ fn determine_role(
             return Err(ImportError::Open(vec![Question {
                 place: source.place.clone(),
                 text: format!("{} is in {}, the run file has counts", source.header, volts.name),
-                topic: Topic::CountsPerV,
+                topic: QuestionTopic::CountsPerV,
                 choices: Vec::new(),
                 is_open: true,
             }]));
@@ -337,7 +338,7 @@ fn timestamp_role(
         return Ok(ColumnRole::Ignored("it is a time, and no clock of the run"));
     }
     let rule = format!("{} holds times, no numbers", source.header);
-    Err(BadInput::new(source.place.clone(), rule).into())
+    Err(InputFileError::new(source.place.clone(), rule).into())
 }
 
 /// Returns the unit that a name of the run file states itself.
@@ -352,7 +353,7 @@ fn stated_unit(target: &TargetColumn) -> Option<Unit> {
 fn wrong_unit_error(draft: &ColumnDraft<'_>, unit: Unit, target: &TargetColumn) -> ImportError {
     let rule =
         format!("{} is in {}, which is no unit of {}", draft.source.header, unit.name, target.name);
-    BadInput::new(draft.source.place.clone(), rule)
+    InputFileError::new(draft.source.place.clone(), rule)
         .with_help("give the column another name, --column, or its unit, --unit")
         .into()
 }
@@ -393,7 +394,7 @@ pub(crate) fn unit_question(
     Question {
         place: source.place.clone(),
         text,
-        topic: Topic::Unit(source.header.clone()),
+        topic: QuestionTopic::Unit(source.header.clone()),
         choices: dimension.suggested_units().iter().map(ToString::to_string).collect(),
         is_open: true,
     }

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use crate::{
     column_meaning::{self, ColumnMeaning},
-    grid::{Cell, Content, Grid, Row, is_comment},
+    grid::{Cell, CellContent, Grid, Row, is_comment},
     number, timestamp, unit,
 };
 
@@ -33,7 +33,7 @@ pub(crate) struct SourceTable {
 
 /// Returns true for a number or a time, with a known unit behind it or none.
 pub(crate) fn is_value(cell: &Cell) -> bool {
-    let Content::Text(text) = &cell.content else { return true };
+    let CellContent::Text(text) = &cell.content else { return true };
     let (digits, unit) = number::split_unit(text);
     let is_number = number::decimal_evidence(digits).is_some()
         && (unit.is_empty() || unit::parse(unit).is_some());
@@ -75,14 +75,14 @@ const MIN_SECOND_TABLE_ROWS: usize = 3;
 ///
 /// # Errors
 /// There is no table of at least two columns, or there are two.
-pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, BadInput> {
+pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, InputFileError> {
     let mut kinds: Vec<RowKind> = grid.rows.iter().map(classify_row).collect();
     reclassify_numeric_header(grid, &mut kinds);
     let blocks = find_blocks(&grid.rows, &kinds);
     let longest =
         blocks.iter().max_by_key(|block| (block.rows.len(), std::cmp::Reverse(block.rows[0])));
     let Some(block) = longest else {
-        return Err(BadInput::new(Location::start_of_file(path), "has no row of numbers")
+        return Err(InputFileError::new(Location::start_of_file(path), "has no row of numbers")
             .with_help("the first row names the columns, each row below is one reading"));
     };
     let first = block.rows[0];
@@ -115,7 +115,7 @@ pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, BadInp
             && grid.rows[other.rows[0]].filled_cell_count() > 2;
         if is_large && !other.rows.iter().any(|at| taken.binary_search(at).is_ok()) {
             let place = grid.rows[other.rows[0]].location(path, 0);
-            return Err(BadInput::new(place, "a second table begins here")
+            return Err(InputFileError::new(place, "a second table begins here")
                 .with_help("keep one table in the file"));
         }
     }
@@ -132,10 +132,13 @@ pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, BadInp
         layout.rows.pop();
     }
     layout.notes = notes;
-    normalise_width(&mut layout, path)?;
+    normalise_row_widths(&mut layout, path)?;
     if layout.columns.len() < 2 {
-        return Err(BadInput::new(Location::start_of_file(path), "has only one column of values")
-            .with_help("a run needs at least two: where or when, and what was measured"));
+        return Err(InputFileError::new(
+            Location::start_of_file(path),
+            "has only one column of values",
+        )
+        .with_help("a run needs at least two: where or when, and what was measured"));
     }
     Ok(layout)
 }
@@ -225,7 +228,7 @@ fn find_headers(
     kinds: &[RowKind],
     first: usize,
     path: &Path,
-) -> Result<(SourceTable, usize), BadInput> {
+) -> Result<(SourceTable, usize), InputFileError> {
     let width = used_cell_count(&grid.rows[first]);
     let mut above = (0..first).rev().filter(|at| kinds[*at] != RowKind::Blank);
     let is_header = |at: &usize| {
@@ -236,7 +239,7 @@ fn find_headers(
             && !row
                 .cells
                 .iter()
-                .any(|cell| matches!(cell.content, Content::Number(_) | Content::Date(_)))
+                .any(|cell| matches!(cell.content, CellContent::Number(_) | CellContent::Date(_)))
     };
     let nearest = above.next();
     let next = above.next().filter(is_header);
@@ -279,7 +282,7 @@ fn find_headers(
             let rule =
                 format!("two columns are called {}: {} and {}", column.header, before + 1, at + 1);
             return Err(
-                BadInput::new(column.place.clone(), rule).with_help("give one another name")
+                InputFileError::new(column.place.clone(), rule).with_help("give one another name")
             );
         }
     }
@@ -322,7 +325,7 @@ fn drop_statistics_rows(rows: &mut Vec<Row>, notes: &mut Vec<String>) {
 }
 
 /// Gives each row as many cells as there are columns, and leaves out columns that are empty.
-fn normalise_width(layout: &mut SourceTable, path: &Path) -> Result<(), BadInput> {
+fn normalise_row_widths(layout: &mut SourceTable, path: &Path) -> Result<(), InputFileError> {
     let width = layout.columns.len();
     let mut short = 0;
     for row in &mut layout.rows {
@@ -330,7 +333,7 @@ fn normalise_width(layout: &mut SourceTable, path: &Path) -> Result<(), BadInput
             let extra = row.cells[width..].iter().position(|cell| !cell.is_empty());
             if let Some(extra) = extra {
                 let rule = format!("the row has {} fields, the header {width}", row.cells.len());
-                return Err(BadInput::new(row.location(path, width + extra), rule).with_help(
+                return Err(InputFileError::new(row.location(path, width + extra), rule).with_help(
                     "is the decimal comma the separator too? Save with ; or tab between the columns",
                 ));
             }
@@ -338,7 +341,7 @@ fn normalise_width(layout: &mut SourceTable, path: &Path) -> Result<(), BadInput
         }
         short += usize::from(row.cells.len() < width);
         let column = row.cells.last().map_or(1, |cell| cell.column + cell.text().chars().count());
-        row.cells.resize(width, Cell { content: Content::Text(String::new()), column });
+        row.cells.resize(width, Cell { content: CellContent::Text(String::new()), column });
     }
     let is_used: Vec<bool> =
         (0..width).map(|at| layout.rows.iter().any(|row| !row.cells[at].is_empty())).collect();

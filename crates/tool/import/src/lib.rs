@@ -30,9 +30,9 @@ mod workbook;
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_machine::{BadInput, Location, RunFile, run_file::is_known_column};
+use trueup_machine::{InputFileError, Location, RunFile, run_file::is_known_column};
 
-pub use answers::{Answers, Circle, ImportError, Question, Topic};
+pub use answers::{Answers, Circle, ImportError, Question, QuestionTopic};
 pub use number::DecimalSeparator;
 pub use timestamp::DateOrder;
 
@@ -114,8 +114,8 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
     let plans = import_mapping::map_columns(&layout, answers, path)?;
     let mut converted = convert::convert(&layout, &plans, decimal, answers, path)?;
     if let Some(circle) = &answers.circle {
-        circle::convert_to_positions(&mut converted.columns, circle)
-            .map_err(|rule| BadInput::new(layout.columns[0].place.clone(), rule))?;
+        circle::convert_angles_to_positions(&mut converted.columns, circle)
+            .map_err(|rule| InputFileError::new(layout.columns[0].place.clone(), rule))?;
     }
     if let Some(order) = converted.order {
         form.push(format!("dates {}", order.name()));
@@ -134,7 +134,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
         let headers: Vec<&str> =
             layout.columns.iter().take(5).map(|column| column.header.as_str()).collect();
         let rule = format!("no column is one that a run file knows: {}", headers.join(", "));
-        let error = BadInput::new(layout.columns[0].place.clone(), rule);
+        let error = InputFileError::new(layout.columns[0].place.clone(), rule);
         return Err(error.with_help("Name one, by its header or number: --column 1=x_mm").into());
     }
     let run = format_run_file(&converted.columns, layout.rows.len());
@@ -195,10 +195,10 @@ fn format_run_file(columns: &[convert::ConvertedColumn], rows: usize) -> String 
 }
 
 /// Returns an error of the run file at the row of the table that it came from.
-fn map_error_to_source(error: BadInput, layout: &layout::SourceTable) -> BadInput {
+fn map_error_to_source(error: InputFileError, layout: &layout::SourceTable) -> InputFileError {
     let row = error.place.line.checked_sub(2).and_then(|at| layout.rows.get(at));
     let line = row.map_or(1, |row| row.line);
-    BadInput {
+    InputFileError {
         place: Location { line, column: 1, ..error.place },
         others: Vec::new(),
         unlisted: 0,

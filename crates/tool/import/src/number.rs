@@ -22,7 +22,7 @@ pub(crate) enum DecimalEvidence {
 
 /// Returns the number without what groups its digits (blanks, apostrophes) and with an ASCII minus; `None` if it has
 /// other characters than a number.
-fn clean_number(text: &str) -> Option<String> {
+fn normalise_number(text: &str) -> Option<String> {
     const GROUP_SEPARATORS: &str = " '\u{a0}\u{202f}\u{2009}\u{2019}";
     let text = text.trim();
     let mut out = String::with_capacity(text.len());
@@ -47,7 +47,7 @@ fn clean_number(text: &str) -> Option<String> {
 
 /// Returns what `text` says about the decimal sign; `None` if it is no number.
 pub(crate) fn decimal_evidence(text: &str) -> Option<DecimalEvidence> {
-    let number = clean_number(text)?;
+    let number = normalise_number(text)?;
     let reads = |decimal| normalise_separators(&number, decimal).is_some();
     let of = |c| number.matches(c).count();
     let (points, commas) = (of('.'), of(','));
@@ -73,7 +73,7 @@ pub(crate) fn decimal_evidence(text: &str) -> Option<DecimalEvidence> {
 
 /// Returns the value of `text`; `None` if it is no number in this writing.
 pub(crate) fn parse(text: &str, decimal: DecimalSeparator) -> Option<f64> {
-    let value: f64 = normalise_separators(&clean_number(text)?, decimal)?.parse().ok()?;
+    let value: f64 = normalise_separators(&normalise_number(text)?, decimal)?.parse().ok()?;
     value.is_finite().then_some(value)
 }
 

@@ -264,7 +264,7 @@ fn split_time_zone(time: &str) -> Option<(&str, Option<f64>)> {
 }
 
 /// Returns the moment of a workbook's serial number: days from 1899-12-30, below 1 a time of day.
-pub(crate) fn from_serial(days: f64) -> Timestamp {
+pub(crate) fn from_serial_date(days: f64) -> Timestamp {
     // To the nearest 10 µs: a serial number has no more.
     let seconds = ((days - days.floor()) * 86_400.0 * 1e5).round() / 1e5;
     let has_date = days >= 1.0;
@@ -337,7 +337,7 @@ mod tests {
         let utc = both("2026-04-03T08:15:00Z");
         assert_eq!(both("2026-04-03T10:15:00+02:00"), utc);
         assert_eq!(both("2026-04-03 08:15").total_s(), utc.total_s());
-        assert_eq!(from_serial(46_115.343_75).seconds, Some(29_700.0));
-        assert_eq!(from_serial(0.34375).day, None);
+        assert_eq!(from_serial_date(46_115.343_75).seconds, Some(29_700.0));
+        assert_eq!(from_serial_date(0.34375).day, None);
     }
 }

@@ -312,12 +312,12 @@ impl Unit {
         if self.is_identity(per_base) {
             return value;
         }
-        round_significant((value * self.factor + self.offset) * per_base)
+        round_to_significant_digits((value * self.factor + self.offset) * per_base)
     }
 }
 
 /// Returns the value to twelve significant digits.
-pub(crate) fn round_significant(value: f64) -> f64 {
+pub(crate) fn round_to_significant_digits(value: f64) -> f64 {
     // The difference of two large numbers has noise far below what was read.
     let text = format!("{value:.11e}");
     let value = text.parse().unwrap_or(value);

@@ -1,10 +1,10 @@
 //! Tables with a column for each pass (`hin 1`, `rück 1`, `hin 2`), as one row for each reading.
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 
 use crate::{
     column_meaning::{self, ColumnMeaning, TargetColumn},
-    grid::{Cell, Content, Row},
+    grid::{Cell, CellContent, Row},
     layout::{SourceColumn, SourceTable},
     unit,
 };
@@ -14,7 +14,7 @@ use crate::{
 ///
 /// # Errors
 /// Some of these columns state a direction and others do not.
-pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, BadInput> {
+pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, InputFileError> {
     let is_position = |column: &SourceColumn| {
         let parts = column_meaning::split_header(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });
@@ -50,7 +50,7 @@ pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, BadInpu
         let SourceColumn { header, place, .. } = &layout.columns[*silent];
         let rule = format!("{header} states no direction, as other columns of readings do");
         let help = "Call each by its run and way: `Run 1 +` there, `Run 1 -` back";
-        return Err(BadInput::new(place.clone(), rule).with_help(help));
+        return Err(InputFileError::new(place.clone(), rule).with_help(help));
     }
     let first = &layout.columns[columns[0]];
     let source = |header: &str, meaning| SourceColumn {
@@ -91,7 +91,7 @@ pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, BadInpu
         let run = run.unwrap_or(*counter);
         let pass = layout.rows.iter().filter(|row| !row.cells[at].is_empty()).map(|row| {
             let number =
-                |value: f64| Cell { content: Content::Number(value), ..row.cells[at].clone() };
+                |value: f64| Cell { content: CellContent::Number(value), ..row.cells[at].clone() };
             let mut cells: Vec<Cell> = fixed.iter().map(|at| row.cells[*at].clone()).collect();
             cells.push(number(f64::from(run)));
             cells.extend(way.filter(|_| has_ways).map(number));

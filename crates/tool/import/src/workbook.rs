@@ -3,11 +3,11 @@
 use std::{io::Cursor, path::Path};
 
 use calamine::{Data, Range, Reader as _, open_workbook_auto_from_rs};
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use crate::{
-    answers::{ImportError, Question, Topic},
-    grid::{Cell, Content, Grid, Row},
+    answers::{ImportError, Question, QuestionTopic},
+    grid::{Cell, CellContent, Grid, Row},
     layout,
 };
 
@@ -24,7 +24,7 @@ const MAX_UNPACKED_BYTES: u64 = 1 << 30;
 /// # Errors
 /// It is no workbook, is protected, has no table, no sheet of this name, or several tables: a question.
 pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid, ImportError> {
-    let bad = |rule: String| BadInput::new(Location::start_of_file(path), rule);
+    let bad = |rule: String| InputFileError::new(Location::start_of_file(path), rule);
     if unpacked_size(bytes) > MAX_UNPACKED_BYTES {
         return Err(bad("unpacks to more than 1 GiB".into()).into());
     }
@@ -62,7 +62,7 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
         _ => Err(ImportError::Open(vec![Question {
             place: Location::start_of_file(path),
             text: "more than one sheet has a table".into(),
-            topic: Topic::Sheet,
+            topic: QuestionTopic::Sheet,
             choices: tables.into_iter().map(|(name, _)| name).collect(),
             is_open: false,
         }])),
@@ -90,25 +90,25 @@ fn convert_range(range: &Range<Data>) -> Grid {
     }
 }
 
-fn convert_cell(data: &Data) -> Content {
+fn convert_cell(data: &Data) -> CellContent {
     match data {
-        Data::Int(value) => Content::Number(*value as f64),
-        Data::Float(value) => Content::Number(*value),
-        Data::String(text) => Content::Text(text.clone()),
-        Data::Bool(value) => Content::Text(if *value { "on" } else { "off" }.into()),
-        Data::DateTime(moment) => Content::Date(moment.as_f64()),
-        Data::DateTimeIso(text) => Content::Text(text.clone()),
+        Data::Int(value) => CellContent::Number(*value as f64),
+        Data::Float(value) => CellContent::Number(*value),
+        Data::String(text) => CellContent::Text(text.clone()),
+        Data::Bool(value) => CellContent::Text(if *value { "on" } else { "off" }.into()),
+        Data::DateTime(moment) => CellContent::Date(moment.as_f64()),
+        Data::DateTimeIso(text) => CellContent::Text(text.clone()),
         Data::DurationIso(text) => {
-            Content::Text(parse_iso_duration(text).unwrap_or_else(|| text.clone()))
+            CellContent::Text(convert_iso_duration(text).unwrap_or_else(|| text.clone()))
         }
         // As the spreadsheet shows it: a missing value.
-        Data::Error(_) => Content::Text("#n/a".into()),
-        Data::Empty => Content::Text(String::new()),
+        Data::Error(_) => CellContent::Text("#n/a".into()),
+        Data::Empty => CellContent::Text(String::new()),
     }
 }
 
 /// `PT08H15M30.5S` as `08:15:30.5`.
-fn parse_iso_duration(text: &str) -> Option<String> {
+fn convert_iso_duration(text: &str) -> Option<String> {
     let rest = text.strip_prefix("PT")?;
     let (hours, rest) = rest.split_once('H')?;
     let (minutes, rest) = rest.split_once('M')?;

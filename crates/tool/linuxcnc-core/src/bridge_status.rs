@@ -5,7 +5,7 @@ use core::time::Duration;
 use trueup_link::{
     frame::Frame,
     receiver::StatusReceiver,
-    status::{Item, StateBits},
+    status::{StateBits, StatusItem},
 };
 
 use crate::NANOMETRES_PER_MICROMETRE;
@@ -28,23 +28,23 @@ impl BridgeStatus {
     pub(crate) fn receive(&mut self, now: Duration, frame: &Frame) {
         let Ok(status) = self.receiver.accept(frame) else { return };
         match status.item {
-            Item::Temperatures { pair, centi_c } => {
+            StatusItem::Temperatures { pair, centi_c } => {
                 let both = self.temperatures_c.iter_mut().skip(2 * usize::from(pair));
                 for (place, centi) in both.zip(centi_c) {
                     *place = centi.map(|centi| (now, f64::from(centi) / 100.0));
                 }
             }
-            Item::Elongation(elongation) => {
+            StatusItem::Elongation(elongation) => {
                 self.elongation_um = elongation
                     .map(|elongation| (now, f64::from(elongation.0) / NANOMETRES_PER_MICROMETRE));
             }
-            Item::State(state) => self.state = state,
-            Item::Calibration(crc) => self.calibration = Some(crc),
-            Item::Refused { .. }
-            | Item::Received { .. }
-            | Item::Board { .. }
-            | Item::Reset { .. }
-            | Item::Slope { .. } => {}
+            StatusItem::State(state) => self.state = state,
+            StatusItem::Calibration(crc) => self.calibration = Some(crc),
+            StatusItem::Refused { .. }
+            | StatusItem::Received { .. }
+            | StatusItem::Board { .. }
+            | StatusItem::Reset { .. }
+            | StatusItem::Slope { .. } => {}
         }
     }
 }

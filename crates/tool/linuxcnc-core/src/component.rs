@@ -3,10 +3,10 @@
 use core::time::Duration;
 
 use trueup_core::{
-    cnc::{Conditions, Control, Flags, Quality},
+    cnc::{Control, MachineConditions, OffsetFlags, OffsetQuality},
     learned::PART_COUNT,
 };
-use trueup_link::{layout::STATUS_ID, receiver::Counters, slcan::Event, status::StateBits};
+use trueup_link::{layout::STATUS_ID, receiver::FrameCounters, slcan::Event, status::StateBits};
 
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
@@ -18,7 +18,7 @@ use crate::{
         StepInputs,
     },
     offsets::{OffsetLimits, OffsetTarget, ReceivedOffsets},
-    sender::{CommandValues, Frames, Sender},
+    sender::{CncTransmitter, CommandValues, Frames},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
@@ -76,7 +76,7 @@ pub struct Inputs {
     /// Axial cutting force in N.
     pub load_n: f64,
     /// Tool and conditions; `None`: the pin `tool` says nothing.
-    pub conditions: Option<Conditions>,
+    pub conditions: Option<MachineConditions>,
 }
 
 /// Values for the output pins.
@@ -101,13 +101,13 @@ pub struct Outputs {
     /// LinuxCNC does not take the offset of an axis.
     pub not_taken: bool,
     /// As on the wire; 4 while the component holds, 5 while it takes back, 6 after that.
-    pub quality: Quality,
+    pub quality: OffsetQuality,
     /// As on the wire.
-    pub flags: Flags,
+    pub flags: OffsetFlags,
     /// Milliseconds since the sample on which the offset rests.
     pub age_ms: u32,
     /// Counters of received frames.
-    pub counters: Counters,
+    pub counters: FrameCounters,
     /// The bridge's temperatures in °C; `None` where it does not say.
     pub temperatures_c: [Option<f64>; TEMPERATURE_COUNT],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
@@ -131,7 +131,7 @@ pub struct Component {
     followers: [OffsetFollower; 3],
     /// At the joints, if any gets an offset.
     joints: JointOffsets,
-    sender: Sender,
+    sender: CncTransmitter,
     engage: EngageSequence,
     status: BridgeStatus,
     was_away: bool,
@@ -147,7 +147,11 @@ impl Component {
             offsets: ReceivedOffsets::new(now),
             followers: Default::default(),
             joints: JointOffsets::default(),
-            sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
+            sender: CncTransmitter::new(
+                options.position_period,
+                options.sends_rotary,
+                options.against_um,
+            ),
             engage: EngageSequence::default(),
             status: BridgeStatus::default(),
             was_away: false,
@@ -206,20 +210,20 @@ impl Component {
         let limits = &self.options.limits;
         let fresh = self.offsets.fresh_output(now, limits);
         // A bridge that was away may be another one, or have another calibration: until it says which.
-        let is_here = fresh.is_some_and(|output| output.quality != Quality::Fault);
+        let is_here = fresh.is_some_and(|output| output.quality != OffsetQuality::Fault);
         let is_away = target == OffsetTarget::RampOut && !is_here;
         if is_away && !self.was_away {
             self.status.calibration = None;
         }
         self.was_away = is_away;
         outputs.connected = fresh.is_some();
-        outputs.flags = fresh.map_or(Flags::NONE, |output| output.flags);
-        outputs.flags = outputs.flags.with_if(self.offsets.is_clamped(), Flags::CLAMPED);
+        outputs.flags = fresh.map_or(OffsetFlags::NONE, |output| output.flags);
+        outputs.flags = outputs.flags.with_if(self.offsets.is_clamped(), OffsetFlags::CLAMPED);
         outputs.quality = match (target, fresh) {
             (OffsetTarget::Follow(_), Some(output)) => output.quality,
-            (OffsetTarget::Follow(_) | OffsetTarget::Hold, _) => Quality::Hold,
-            (OffsetTarget::RampOut, _) if at_zero => Quality::Fault,
-            (OffsetTarget::RampOut, _) => Quality::RampingOut,
+            (OffsetTarget::Follow(_) | OffsetTarget::Hold, _) => OffsetQuality::Hold,
+            (OffsetTarget::RampOut, _) if at_zero => OffsetQuality::Fault,
+            (OffsetTarget::RampOut, _) => OffsetQuality::RampingOut,
         };
         outputs.fault = outputs.not_taken || target == OffsetTarget::RampOut;
         outputs.applied = ready && matches!(target, OffsetTarget::Follow(_)) && arrived;
@@ -239,7 +243,7 @@ impl Component {
             engage: self.engage.step(
                 now,
                 inputs.enable && inputs.machine_on,
-                fresh.is_none_or(|output| output.quality != Quality::Fault),
+                fresh.is_none_or(|output| output.quality != OffsetQuality::Fault),
                 at_zero,
             ),
             referenced: inputs.homed,
@@ -304,8 +308,8 @@ pub(crate) mod tests {
     };
     use trueup_link::{
         frames::{encode_offset_xy, encode_offset_z},
-        receiver::Receiver,
-        status::{self, Item},
+        receiver::CncReceiver,
+        status::{self, StatusItem},
     };
 
     const SLEW: f64 = 500e3;
@@ -342,7 +346,7 @@ pub(crate) mod tests {
         offset: Option<[i32; 3]>,
         outputs: Outputs,
         controls: Vec<Control>,
-        receiver: Receiver,
+        receiver: CncReceiver,
         ms: u64,
     }
 
@@ -354,7 +358,7 @@ pub(crate) mod tests {
                 offset: Some([0; 3]),
                 outputs: Outputs::default(),
                 controls: Vec::new(),
-                receiver: Receiver::new(),
+                receiver: CncReceiver::new(),
                 ms: 0,
             }
         }
@@ -365,7 +369,8 @@ pub(crate) mod tests {
                 let now = Duration::from_millis(self.ms);
                 if let Some(offset) = self.offset {
                     let offset = Some(offset.map(Nanometres));
-                    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+                    let output =
+                        Output { offset, quality: OffsetQuality::Live, ..Output::default() };
                     let counter = (self.ms % 256) as u8;
                     for frame in
                         [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)]
@@ -405,7 +410,7 @@ pub(crate) mod tests {
         world.live(40);
         assert_eq!(world.outputs.applied_um, [1.0, -2.0, 40.0]);
         assert!(world.outputs.applied && !world.outputs.fault && !world.outputs.limited);
-        assert_eq!(world.outputs.quality, Quality::Live);
+        assert_eq!(world.outputs.quality, OffsetQuality::Live);
     }
 
     #[test]
@@ -415,13 +420,13 @@ pub(crate) mod tests {
         world.live(200);
         world.offset = None;
         world.live(150);
-        assert_eq!((world.outputs.quality, world.outputs.connected), (Quality::Hold, false));
+        assert_eq!((world.outputs.quality, world.outputs.connected), (OffsetQuality::Hold, false));
         world.live(1_900);
         assert_eq!((world.z_um(), world.outputs.fault), (40.0, false));
         world.live(90);
-        assert_eq!((world.outputs.quality, world.outputs.fault), (Quality::RampingOut, true));
+        assert_eq!((world.outputs.quality, world.outputs.fault), (OffsetQuality::RampingOut, true));
         world.live(100);
-        assert_eq!((world.outputs.quality, world.z_um()), (Quality::Fault, 0.0));
+        assert_eq!((world.outputs.quality, world.z_um()), (OffsetQuality::Fault, 0.0));
         world.offset = Some([0, 0, 40_000]);
         world.live(150);
         assert_eq!((world.z_um(), world.outputs.fault), (40.0, false));
@@ -444,7 +449,7 @@ pub(crate) mod tests {
     fn temperatures_are_reported_until_they_are_too_old() {
         let mut world = World::new();
         world.live(1);
-        let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
+        let item = StatusItem::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
         let reported = status::Status { last_refused: status::FrameRejectReason::None, item };
         let frame = Event::Frame(status::encode(&reported, 0));
         world.component.receive(Duration::from_millis(world.ms), &frame);

@@ -33,7 +33,7 @@ const MOTION_THRESHOLD_NM: f64 = 1.0;
 /// An offset that is not at its goal and has not moved for this time is not taken.
 const STALL_TIMEOUT: Duration = Duration::from_secs(1);
 /// By how much a goal changes that is above the offset, in nanometres: a tenth of the wire's resolution.
-const DITHER_NM: f64 = 1.0;
+const DITHER_AMPLITUDE_NM: f64 = 1.0;
 
 /// Settings of a joint that gets an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,7 +119,7 @@ struct JointState {
     follows: bool,
     /// Where the offset stands off its goal or goes away from it, and since when.
     stands: Option<(f64, Duration)>,
-    /// The goal of the step before, and whether it was changed by [`DITHER_NM`].
+    /// The goal of the step before, and whether it was changed by [`DITHER_AMPLITUDE_NM`].
     given: (f64, bool),
     /// The goal is that of a component before this one, and its wires have no value yet.
     is_left: bool,
@@ -244,8 +244,8 @@ impl JointState {
         self.given = (self.offset_nm, is_kicked);
         match (is_kicked, self.offset_nm > self.base_nm) {
             (false, _) => 0.0,
-            (true, true) => -DITHER_NM,
-            (true, false) => DITHER_NM,
+            (true, true) => -DITHER_AMPLITUDE_NM,
+            (true, false) => DITHER_AMPLITUDE_NM,
         }
     }
 

@@ -10,10 +10,10 @@
 
 use core::time::Duration;
 
-use trueup_core::cnc::{Output, Quality};
+use trueup_core::cnc::{OffsetQuality, Output};
 use trueup_link::{
     frame::Frame,
-    receiver::{Counters, OffsetReceiver},
+    receiver::{FrameCounters, OffsetReceiver},
 };
 
 /// A pair's counter comes round after 256 ms, so nothing older may count as fresh.
@@ -83,7 +83,7 @@ impl ReceivedOffsets {
     /// Returns what the offsets are to do now.
     pub(crate) fn update_target(&mut self, now: Duration, limits: &OffsetLimits) -> OffsetTarget {
         let available = self.fresh_output(now, limits).and_then(|output| match output.quality {
-            Quality::Fault => None,
+            OffsetQuality::Fault => None,
             _ => output.offset,
         });
         self.clamped = false;
@@ -118,16 +118,19 @@ impl ReceivedOffsets {
 
     /// Returns what has arrived so far, in frames; lines that were none are among the malformed.
     #[must_use]
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> FrameCounters {
         let counters = self.receiver.counters();
-        Counters { malformed: counters.malformed.saturating_add(self.malformed_lines), ..counters }
+        FrameCounters {
+            malformed: counters.malformed.saturating_add(self.malformed_lines),
+            ..counters
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_core::{cnc::Flags, units::Nanometres};
+    use trueup_core::{cnc::OffsetFlags, units::Nanometres};
     use trueup_link::frames::{encode_offset_xy, encode_offset_z};
 
     const LIMITS: OffsetLimits = OffsetLimits {
@@ -146,11 +149,11 @@ mod tests {
         counter: u8,
         offset: Option<i32>,
     ) {
-        let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
+        let quality = if offset.is_some() { OffsetQuality::Live } else { OffsetQuality::Fault };
         let output = Output {
             offset: offset.map(|nm| [Nanometres(nm); 3]),
             quality,
-            flags: Flags::NONE,
+            flags: OffsetFlags::NONE,
             age_ms: 3,
         };
         offsets.receive(now, &encode_offset_xy(&output, counter));

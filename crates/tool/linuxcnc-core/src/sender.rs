@@ -22,7 +22,10 @@ use core::time::Duration;
 
 use crate::rounding::{floor, round};
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection},
+    cnc::{
+        AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, SpindleState,
+        TravelDirection,
+    },
     learned::{ChangeRequest, PART_COUNT, calibration_id},
     units::{MicroDegrees, Position, Rpm},
 };
@@ -35,7 +38,7 @@ use trueup_link::{
 pub type Frames = heapless::Vec<Frame, 7>;
 
 /// Unchanged values are sent this often: a bridge that was away has to learn where it is.
-const IDLE_PERIOD: Duration = Duration::from_millis(50);
+const RESEND_PERIOD: Duration = Duration::from_millis(50);
 /// A command that has gone back by this much is a reversal.
 const REVERSAL_THRESHOLD: i32 = Position::PER_MILLIMETRE / 1_000;
 /// The board sees the edge of `Zero` only if it holds for some frames of `Control`.
@@ -57,7 +60,7 @@ pub(crate) struct CommandValues {
     /// Axial cutting force in N.
     pub load_n: f64,
     /// Tool and conditions; `None`: LinuxCNC does not say, and nothing is sent.
-    pub conditions: Option<Conditions>,
+    pub conditions: Option<MachineConditions>,
 }
 
 /// A value that is sent while it changes.
@@ -144,23 +147,23 @@ impl DirectionTracker {
 
 /// The sender of the CNC's frames.
 #[derive(Debug, Default)]
-pub struct Sender {
+pub struct CncTransmitter {
     position_period: Duration,
     sends_rotary: bool,
     control: SendOnChange<Control>,
     positions: [SendOnChange<AxisPosition>; 3],
     courses: [DirectionTracker; 3],
     reversals: [Option<i32>; 3],
-    rotary: SendOnChange<Rotary>,
-    spindle: SendOnChange<Spindle>,
-    conditions: SendOnChange<Conditions>,
+    rotary: SendOnChange<RotaryAxisAngles>,
+    spindle: SendOnChange<SpindleState>,
+    conditions: SendOnChange<MachineConditions>,
     zero_until: Option<Duration>,
     zero_was: bool,
     /// Learned values, and the calibration that they change; `None`: none are sent.
     learned: Option<([i16; PART_COUNT], u32)>,
 }
 
-impl Sender {
+impl CncTransmitter {
     /// Sends moving positions every `position_period`, and angles if requested. `against_um` is the
     /// most by which the offset of X, Y and Z goes against a reversal, where that is known.
     #[must_use]
@@ -217,15 +220,15 @@ impl Sender {
             let there = AxisPosition { axis, position, direction };
             let period = self.position_period;
             if let Some(counter) =
-                self.positions[place].take_due_counter(now, there, period, IDLE_PERIOD)
+                self.positions[place].take_due_counter(now, there, period, RESEND_PERIOD)
             {
                 push_frame(&mut due, frames::encode_position(there, counter));
             }
         }
         if self.sends_rotary && command.angles_deg.iter().all(|angle| angle.is_finite()) {
-            let rotary = Rotary { angles: command.angles_deg.map(to_micro_degrees) };
+            let rotary = RotaryAxisAngles { angles: command.angles_deg.map(to_micro_degrees) };
             if let Some(counter) =
-                self.rotary.take_due_counter(now, rotary, self.position_period, IDLE_PERIOD)
+                self.rotary.take_due_counter(now, rotary, self.position_period, RESEND_PERIOD)
             {
                 push_frame(&mut due, frames::encode_rotary(rotary, counter));
             }
@@ -234,7 +237,7 @@ impl Sender {
         let often = Duration::from_millis(SPINDLE_PERIOD_MS.into());
         if command.spindle_rpm.is_finite()
             && command.load_n.is_finite()
-            && let Some(counter) = self.spindle.take_due_counter(now, spindle, often, IDLE_PERIOD)
+            && let Some(counter) = self.spindle.take_due_counter(now, spindle, often, RESEND_PERIOD)
         {
             push_frame(&mut due, frames::encode_spindle(spindle, counter));
         }
@@ -276,8 +279,8 @@ fn to_micro_degrees(deg: f64) -> MicroDegrees {
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "they saturate")]
-fn to_spindle(rpm: f64, load_n: f64) -> Spindle {
-    Spindle { speed: Rpm(round(rpm.abs()) as u16), load_n: round(load_n) as i16 }
+fn to_spindle(rpm: f64, load_n: f64) -> SpindleState {
+    SpindleState { speed: Rpm(round(rpm.abs()) as u16), load_n: round(load_n) as i16 }
 }
 
 #[cfg(test)]
@@ -285,22 +288,26 @@ mod tests {
     use super::*;
     use std::vec::Vec;
     use trueup_core::cnc::CncMessage as Received;
-    use trueup_link::receiver::Receiver;
+    use trueup_link::receiver::CncReceiver;
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
     }
 
-    fn frames_at(sender: &mut Sender, now: Duration, command: &CommandValues) -> Vec<Received> {
-        let mut receiver = Receiver::new();
+    fn frames_at(
+        sender: &mut CncTransmitter,
+        now: Duration,
+        command: &CommandValues,
+    ) -> Vec<Received> {
+        let mut receiver = CncReceiver::new();
         let frames = sender.due_frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
     }
 
     #[test]
     fn a_moving_axis_is_sent_every_period_and_a_standing_one_every_50_ms() {
-        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
-        let mut receiver = Receiver::new();
+        let mut sender = CncTransmitter::new(ms(2), false, [Some(0.0); 3]);
+        let mut receiver = CncReceiver::new();
         let mut count = [0; 2];
         for now in 0..1_000 {
             let command =
@@ -333,7 +340,7 @@ mod tests {
 
     #[test]
     fn an_offset_that_goes_back_turns_an_axis_that_stands() {
-        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
+        let mut sender = CncTransmitter::new(ms(2), false, [Some(0.0); 3]);
         let mut z = |now, offset_mm| {
             let there = [0.0, 0.0, offset_mm];
             let command = CommandValues {
@@ -381,7 +388,7 @@ mod tests {
 
     #[test]
     fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
-        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
+        let mut sender = CncTransmitter::new(ms(2), false, [Some(0.0); 3]);
         let mut command = CommandValues::default();
         let zero = |reported: Vec<Received>| {
             reported.into_iter().find_map(|received| match received {
@@ -400,8 +407,8 @@ mod tests {
 
     #[test]
     fn each_part_of_what_was_learned_comes_once_in_five_frames_and_nothing_while_there_is_none() {
-        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
-        let learned = |sender: &mut Sender, now| {
+        let mut sender = CncTransmitter::new(ms(2), false, [Some(0.0); 3]);
+        let learned = |sender: &mut CncTransmitter, now| {
             let reported = frames_at(sender, ms(now), &CommandValues::default());
             reported.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.learned),
@@ -423,7 +430,7 @@ mod tests {
     #[test]
     fn what_is_not_a_number_is_not_sent() {
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
+            let mut sender = CncTransmitter::new(ms(2), true, [Some(0.0); 3]);
             let command = CommandValues {
                 position_mm: [wrong, 1.0, wrong],
                 angles_deg: [0.0, wrong],
@@ -442,11 +449,14 @@ mod tests {
         assert_eq!(to_micro_degrees(370.0), MicroDegrees(10_000_000));
         assert_eq!(to_micro_degrees(-190.5), MicroDegrees(169_500_000));
         assert_eq!(to_position(1e30), Position(i32::MAX));
-        assert_eq!(to_spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
-        let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
+        assert_eq!(
+            to_spindle(-24_000.0, 1e9),
+            SpindleState { speed: Rpm(24_000), load_n: i16::MAX }
+        );
+        let mut sender = CncTransmitter::new(ms(2), true, [Some(0.0); 3]);
         let command = CommandValues { angles_deg: [725.0, -30.0], ..CommandValues::default() };
         let received = frames_at(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);
-        assert!(received.contains(&Received::Rotary(Rotary { angles })));
+        assert!(received.contains(&Received::Rotary(RotaryAxisAngles { angles })));
     }
 }

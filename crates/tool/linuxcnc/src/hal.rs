@@ -22,7 +22,7 @@ const HAL_LIBRARY: &str = "liblinuxcnchal.so.0";
 const HAL_IN: c_int = 16;
 const HAL_OUT: c_int = 32;
 /// The longest name of a pin in bytes: `HAL_NAME_LEN` of LinuxCNC's `hal.h`.
-const MAX_NAME_LENGTH: usize = 47;
+const MAX_PIN_NAME_BYTES: usize = 47;
 
 type NewPinFn = unsafe extern "C" fn(*const c_char, c_int, *mut *mut c_void, c_int) -> c_int;
 type PinByNameFn =
@@ -35,7 +35,7 @@ pub(crate) trait PinType: sealed::Sealed + Copy {
     const NEW_PIN_SYMBOL: &'static [u8];
     /// Its number in `hal_type_t`.
     #[doc(hidden)]
-    const KIND: c_int;
+    const HAL_TYPE: c_int;
     /// Content of the shared memory.
     #[doc(hidden)]
     type Raw: Copy;
@@ -54,7 +54,7 @@ macro_rules! pin_type {
         impl sealed::Sealed for $type {}
         impl PinType for $type {
             const NEW_PIN_SYMBOL: &'static [u8] = $make;
-            const KIND: c_int = $kind;
+            const HAL_TYPE: c_int = $kind;
             type Raw = $raw;
             fn from_raw(raw: $raw) -> Self {
                 $from(raw)
@@ -148,7 +148,7 @@ impl Hal {
         hal.id = hal.init(&format!("{name}-{}", std::process::id()))?;
         hal.adopts = true;
         match hal.read_foreign_pin::<u32>(pid_pin) {
-            Some(pid) if !is_alive(pid) => Ok(hal),
+            Some(pid) if !is_process_alive(pid) => Ok(hal),
             pid => Err(HalError::Taken { name: name.into(), pid }),
         }
     }
@@ -161,7 +161,7 @@ impl Hal {
 
     /// Looks where the adopted pins are connected to now. LinuxCNC reports that to the dead process
     /// only, so this has to be called from time to time.
-    pub(crate) fn refresh(&self) {
+    pub(crate) fn refresh_adopted_pins(&self) {
         for pin in &*self.adopted.borrow() {
             if let Some(data) = self.find_pin_value(&pin.name, pin.kind) {
                 // SAFETY: the cell lives as long as `Hal`; no `Pin` reads it meanwhile, because
@@ -190,7 +190,7 @@ impl Hal {
     /// Returns what anybody's pin says; `None` if there is none of this name and type.
     #[must_use]
     pub(crate) fn read_foreign_pin<T: PinType>(&self, name: &str) -> Option<T> {
-        let data = self.find_pin_value(&to_c_string(name).ok()?, T::KIND)?;
+        let data = self.find_pin_value(&to_c_string(name).ok()?, T::HAL_TYPE)?;
         // SAFETY: the HAL says that a value of this type lies there, in its memory, which is
         // attached; volatile, because others write it.
         Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
@@ -198,7 +198,7 @@ impl Hal {
 
     /// Returns whether anybody's pin is connected to a signal; `None` if there is none of this name.
     #[must_use]
-    pub(crate) fn is_connected(&self, name: &str) -> Option<bool> {
+    pub(crate) fn is_pin_connected(&self, name: &str) -> Option<bool> {
         self.look_up(&to_c_string(name).ok()?).map(|found| found.is_connected)
     }
 
@@ -217,11 +217,11 @@ impl Hal {
         type MallocFn = unsafe extern "C" fn(c_long) -> *mut c_void;
         let text = to_c_string(name)?;
         if self.adopts
-            && let Some(data) = self.find_pin_value(&text, T::KIND)
+            && let Some(data) = self.find_pin_value(&text, T::HAL_TYPE)
         {
             let cell = Box::new(UnsafeCell::new(data));
             let place = cell.get();
-            self.adopted.borrow_mut().push(AdoptedPin { name: text, kind: T::KIND, cell });
+            self.adopted.borrow_mut().push(AdoptedPin { name: text, kind: T::HAL_TYPE, cell });
             return Ok(Pin { cell: place.cast_const().cast(), hal: PhantomData });
         }
         let malloc = self.load_function::<MallocFn>("hal_malloc", b"hal_malloc\0")?;
@@ -296,7 +296,7 @@ impl Drop for Hal {
 
 fn to_c_string(name: &str) -> Result<CString, HalError> {
     let bad = || HalError::Name(name.into());
-    if name.len() > MAX_NAME_LENGTH {
+    if name.len() > MAX_PIN_NAME_BYTES {
         return Err(bad());
     }
     CString::new(name).map_err(|_| bad())
@@ -308,7 +308,7 @@ fn check_return_code(what: &'static str, code: c_int) -> Result<c_int, HalError>
 
 /// Returns whether a process runs; one that has ended and is not waited for does not.
 #[must_use]
-pub fn is_alive(pid: u32) -> bool {
+pub fn is_process_alive(pid: u32) -> bool {
     let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else { return false };
     // "pid (name) state …"; the name may contain anything.
     let state = stat.rsplit(')').next().unwrap_or_default().trim_start();
@@ -341,7 +341,7 @@ pub enum HalError {
         pid: Option<u32>,
     },
     /// The HAL takes no such name.
-    #[error("\"{0}\" is not a name for the HAL: at most {MAX_NAME_LENGTH} characters")]
+    #[error("\"{0}\" is not a name for the HAL: at most {MAX_PIN_NAME_BYTES} characters")]
     Name(String),
 }
 

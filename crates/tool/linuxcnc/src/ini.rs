@@ -10,7 +10,7 @@ use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Rate
 /// LinuxCNC's default of `[EMCMOT]SERVO_PERIOD`, in ns.
 const DEFAULT_SERVO_PERIOD_NS: f64 = 1e6;
 /// A servo cycle of a second is none.
-const MAX_PERIOD_NS: f64 = 1e9;
+const MAX_SERVO_PERIOD_NS: f64 = 1e9;
 /// Millimetres in an inch.
 const MM_PER_INCH: f64 = 25.4;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
@@ -38,7 +38,7 @@ impl AxisMotionLimits {
 
 /// Content of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ini {
+pub struct IniSettings {
     /// The servo cycle in seconds.
     pub cycle_s: f64,
     /// Millimetres in a machine unit: 1 or 25.4.
@@ -50,14 +50,14 @@ pub struct Ini {
 }
 
 /// What LinuxCNC takes where a file states nothing.
-impl Default for Ini {
+impl Default for IniSettings {
     fn default() -> Self {
         let axes = [AxisMotionLimits::default(); 3];
         Self { cycle_s: DEFAULT_SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes, has: [true; 3] }
     }
 }
 
-impl Ini {
+impl IniSettings {
     /// Reads the text of a file.
     ///
     /// # Errors
@@ -84,7 +84,7 @@ impl Ini {
         };
         let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(DEFAULT_SERVO_PERIOD_NS);
         if let Some((place, value)) = found("EMCMOT", "SERVO_PERIOD")
-            && !(period_ns > 0.0 && period_ns <= MAX_PERIOD_NS)
+            && !(period_ns > 0.0 && period_ns <= MAX_SERVO_PERIOD_NS)
         {
             let rule = format!("[EMCMOT]SERVO_PERIOD = {value} is not above 0 and at most 1e9 ns");
             return Err(IniError { place, rule });
@@ -204,7 +204,7 @@ mod tests {
                     [AXIS_X]\n#OFFSET_AV_RATIO = 0.9\nOFFSET_AV_RATIO = 0.2 # a fifth\n\
                     MAX_VELOCITY=2\nMAX_ACCELERATION = 20\nMAX_VELOCITY = 9\n[AXIS_Y]\n[AXIS_X]\n\
                     OFFSET_AV_RATIO = 0.3\n[AXIS_Y]\nMAX_VELOCITY = 1\n";
-        let ini = Ini::parse(text).expect("reads");
+        let ini = IniSettings::parse(text).expect("reads");
         assert_eq!((ini.cycle_s, ini.mm_per_unit), (0.0005, 25.4));
         assert_eq!(ini.axes[0].velocity_mm_per_s, Some(50.8));
         assert_eq!(ini.axes[0].acceleration_mm_per_s2, Some(508.0));
@@ -213,10 +213,10 @@ mod tests {
     }
 
     /// Returns an .ini with this in `[AXIS_X]`, and a second and a third axis that are as they should be.
-    fn with_x(x: &str) -> Ini {
+    fn with_x(x: &str) -> IniSettings {
         let proper = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
         let text = format!("[AXIS_X]\n{x}\n[AXIS_Y]\n{proper}[AXIS_Z]\n{proper}");
-        Ini::parse(&text).expect("reads")
+        IniSettings::parse(&text).expect("reads")
     }
 
     #[test]
@@ -248,7 +248,7 @@ mod tests {
         let fits = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
         let of = |letters: &str| {
             let text = format!("[TRAJ]\nCOORDINATES = {letters}\n[AXIS_X]\n{fits}[AXIS_Z]\n{fits}");
-            Ini::parse(&text).expect("reads").slew_limit_warnings(20.0)
+            IniSettings::parse(&text).expect("reads").slew_limit_warnings(20.0)
         };
         assert!(of("XZ").is_empty() && of("x z").is_empty());
         assert_eq!(of("XYZ").len(), 1);
@@ -297,17 +297,18 @@ mod tests {
 
     #[test]
     fn an_empty_file_says_what_linuxcnc_takes_by_itself() {
-        assert_eq!(Ini::parse(""), Ok(Ini::default()));
-        assert_eq!(Ini::default().cycle_s, 1e-3);
+        assert_eq!(IniSettings::parse(""), Ok(IniSettings::default()));
+        assert_eq!(IniSettings::default().cycle_s, 1e-3);
     }
 
     #[test]
     fn a_value_that_cannot_be_is_reported_with_its_place() {
-        let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
+        let error =
+            IniSettings::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
         assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is not a number");
-        assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
+        assert!(IniSettings::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
         for period in ["0", "-1000000", "1e10"] {
-            let error = Ini::parse(&format!("[EMCMOT]\nSERVO_PERIOD={period}\n"));
+            let error = IniSettings::parse(&format!("[EMCMOT]\nSERVO_PERIOD={period}\n"));
             let rule = format!("2:14: [EMCMOT]SERVO_PERIOD = {period} is not above 0");
             assert!(error.expect_err(period).to_string().starts_with(&rule));
         }

@@ -35,7 +35,7 @@
 
 use std::cell::Cell;
 
-use trueup_core::{cnc::Conditions, dimensions::CONDITION_COUNT};
+use trueup_core::{cnc::MachineConditions, dimensions::CONDITION_COUNT};
 
 use crate::{
     component::{Inputs, Outputs},
@@ -237,7 +237,7 @@ impl<'hal> ComponentPins<'hal> {
     #[must_use]
     pub(crate) fn disconnected_pin(&self) -> Option<&str> {
         let is_cut = |wire: &&RequiredPin| {
-            let is_connected = self.hal.is_connected(&wire.name) == Some(true);
+            let is_connected = self.hal.is_pin_connected(&wire.name) == Some(true);
             wire.was_connected.set(wire.was_connected.get() || is_connected);
             wire.was_connected.get() && !is_connected
         };
@@ -283,11 +283,11 @@ impl<'hal> ComponentPins<'hal> {
     }
 
     /// Returns tool and conditions; `None` for a number that no tool can have: sent, it would be another tool's.
-    fn conditions(&self) -> Option<Conditions> {
+    fn conditions(&self) -> Option<MachineConditions> {
         let tool = u16::try_from(self.tool.get()).ok()?;
         let held = self.conditions.iter().rev();
         let bits = held.fold(0, |bits, pin| bits << 1 | u16::from(pin.get()));
-        Some(Conditions { tool, bits })
+        Some(MachineConditions { tool, bits })
     }
 
     /// Lets the pins say this. Counts are stepped from where they stand: a signal keeps its value

@@ -13,7 +13,7 @@ use trueup_client::{
     pinned_calibration::PinnedCalibration,
     state_text::state_names,
 };
-use trueup_core::{cnc::Quality, learned::PART_COUNT};
+use trueup_core::{cnc::OffsetQuality, learned::PART_COUNT};
 use trueup_link::status::StateBits;
 
 use crate::{
@@ -28,7 +28,7 @@ const PIN_REFRESH_PERIOD: Duration = Duration::from_millis(50);
 
 /// How the component appears in the HAL.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct HalComponentSettings {
     /// The name of the component, `trueup`: `loadusr -W` waits for the program's name.
     pub name: String,
     /// Millimetres in a machine unit: 1 or 25.4.
@@ -61,14 +61,22 @@ pub struct LearnedUpdate {
 /// # Errors
 /// The HAL refuses the component or a pin.
 pub fn run(
-    settings: &Settings,
+    settings: &HalComponentSettings,
     open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
     stop: &AtomicBool,
     mut record: Option<RecordFile>,
     learned: Option<impl Fn() -> Option<LearnedUpdate>>,
     mut report: impl FnMut(&str),
 ) -> Result<(), HalError> {
-    let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
+    let HalComponentSettings {
+        name,
+        mm_per_unit,
+        temperatures,
+        calibration,
+        pinned,
+        turn,
+        options,
+    } = settings;
     let hal = Hal::new(name, &pid_pin_name(name))?;
     let pins = ComponentPins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
     let line = Connection::spawn(open);
@@ -87,7 +95,7 @@ pub fn run(
         let now = start.elapsed();
         if now.saturating_sub(refreshed) >= PIN_REFRESH_PERIOD {
             refreshed = now;
-            hal.refresh();
+            hal.refresh_adopted_pins();
             cut = pins.disconnected_pin();
             news.report_disconnected_pin(cut, &mut report);
         }
@@ -157,7 +165,7 @@ impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
 #[derive(Debug)]
 struct StateReporter {
     down: Option<String>,
-    state: Option<(bool, bool, bool, bool, Quality)>,
+    state: Option<(bool, bool, bool, bool, OffsetQuality)>,
     pinned: PinnedCalibration,
     bits: StateBits,
     cut: Option<String>,
@@ -217,13 +225,13 @@ impl StateReporter {
             self.down = None;
         }
         let mut text = match quality {
-            Quality::Off => "offsets are off",
-            Quality::Live => "offsets are live",
-            Quality::TemperatureModel => "offsets come from the temperature model",
-            Quality::WarmUpModel => "offsets come from the warm-up model",
-            Quality::Hold => "offsets are held",
-            Quality::RampingOut => "offsets are taken back",
-            Quality::Fault => "no offsets are sent",
+            OffsetQuality::Off => "offsets are off",
+            OffsetQuality::Live => "offsets are live",
+            OffsetQuality::TemperatureModel => "offsets come from the temperature model",
+            OffsetQuality::WarmUpModel => "offsets come from the warm-up model",
+            OffsetQuality::Hold => "offsets are held",
+            OffsetQuality::RampingOut => "offsets are taken back",
+            OffsetQuality::Fault => "no offsets are sent",
         }
         .to_owned();
         if !connected {
@@ -257,9 +265,9 @@ mod tests {
         learned::{ChangeRequest, calibration_id},
     };
     use trueup_link::{
-        receiver::Receiver,
+        receiver::CncReceiver,
         slcan::Event,
-        status::{self, Item, Status},
+        status::{self, Status, StatusItem},
     };
 
     const RUNNING: u32 = 0x1234_ABCD;
@@ -290,8 +298,8 @@ mod tests {
     /// Returns what a component says of what was learned in five frames of `Control`, to a bridge that runs on
     /// `RUNNING`.
     fn taught(news: Option<impl Fn() -> Option<LearnedUpdate>>, of: Option<u32>) -> Vec<(u8, i16)> {
-        let (mut component, mut receiver) = (component(), Receiver::new());
-        let item = Item::Calibration(RUNNING);
+        let (mut component, mut receiver) = (component(), CncReceiver::new());
+        let item = StatusItem::Calibration(RUNNING);
         let reported =
             status::encode(&Status { last_refused: status::FrameRejectReason::None, item }, 0);
         component.receive(Duration::ZERO, &Event::Frame(reported));

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::hal::is_alive;
+use crate::hal::is_process_alive;
 
 /// Returns the values of `halcmd -s show pin`: owner, type, direction, value, name.
 #[must_use]
@@ -23,7 +23,7 @@ pub fn describe_status(pins: &BTreeMap<String, String>) -> (String, bool) {
     }
     // A component that is killed leaves its pins with their last values.
     let pid = pins.get("pid").and_then(|text| parse_process_id(text));
-    if !pid.is_some_and(is_alive) {
+    if !pid.is_some_and(is_process_alive) {
         return (
             "LinuxCNC runs, and the component trueup was killed: its pins keep their last values"
                 .into(),

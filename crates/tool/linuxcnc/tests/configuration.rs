@@ -13,7 +13,7 @@ use trueup_linuxcnc::configuration::{
     install::{self, FileChange},
     installed::{BridgeSettings, InstalledSetup},
 };
-use trueup_machine::{BadInput, MachineFile};
+use trueup_machine::{InputFileError, MachineFile};
 
 const INI: &str = include_str!("machine.ini");
 const HAL: &str = "\
@@ -79,7 +79,7 @@ impl Case {
     fn set_up(
         &self,
         demand: &OffsetRequirements,
-    ) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
+    ) -> Result<(CheckReport, Vec<FileChange>), InputFileError> {
         self.set_up_with(demand, "/dev/ttyUSB0", "m.toml")
     }
 
@@ -88,7 +88,7 @@ impl Case {
         demand: &OffsetRequirements,
         port: &str,
         machine: &str,
-    ) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
+    ) -> Result<(CheckReport, Vec<FileChange>), InputFileError> {
         let (ini, hal) = self.read();
         let bridge = BridgeSettings {
             port: Some(port.into()),

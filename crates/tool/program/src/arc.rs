@@ -5,7 +5,7 @@
 
 /// The way of two axes around a centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Arc {
+pub struct ArcMove {
     /// The axes of the plane, the first and the second: 0, 1, 2 of X, Y, Z.
     pub axes: [usize; 2],
     /// Its centre in mm.
@@ -18,7 +18,7 @@ pub struct Arc {
     pub feed_mm_per_min: f64,
 }
 
-impl Arc {
+impl ArcMove {
     /// Returns +1 counter-clockwise, −1 clockwise.
     #[must_use]
     pub fn rotation_sign(&self) -> f64 {
@@ -107,9 +107,9 @@ pub(crate) fn round_to_micrometres(mm: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn arc(turn_deg: f64) -> Arc {
+    fn arc(turn_deg: f64) -> ArcMove {
         let centre_mm = [100.0, 50.0];
-        Arc { axes: [0, 1], centre_mm, turn_deg, read_deg: [2, 218], feed_mm_per_min: 500.0 }
+        ArcMove { axes: [0, 1], centre_mm, turn_deg, read_deg: [2, 218], feed_mm_per_min: 500.0 }
     }
 
     #[test]

@@ -29,7 +29,7 @@ use self::dialect::{ArcBlocks, Cell, Dialect, MoveTargets, ProbeMove};
 use trueup_machine::{Machine, file::MachineKind};
 
 use crate::{
-    arc::Arc,
+    arc::ArcMove,
     plan::{Column, Plan, PlannedReading, Step},
     probe::ProbedPoint,
     refused::ProgramError,
@@ -158,7 +158,7 @@ fn write_steps(
                     dialect.write_probe_move(&touching, plan.approach_mm_per_min);
                 }
             }
-            Step::Found(found) => dialect.write_result_row(&build_row(plan, found)),
+            Step::Found(found) => dialect.write_result_row(&build_result_row(plan, found)),
             Step::Spindle(rpm) => dialect.write_spindle_command(*rpm),
             Step::Dwell(s) => dialect.write_dwell(*s, false),
             Step::Read(s) => dialect.write_dwell(*s, true),
@@ -188,8 +188,8 @@ fn compute_move_targets(
 }
 
 /// Returns the row of what touches have found.
-fn build_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
-    let reading = PlannedReading::from_touches(found);
+fn build_result_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
+    let reading = PlannedReading::from_probed_point(found);
     let cell = |column: &Column| {
         let name = template::column_name(column);
         let measured = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
@@ -203,12 +203,12 @@ fn build_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
 }
 
 /// Returns the blocks of an arc, and puts the axes to its end; `None` where it is not known from where it goes.
-fn compute_arc_blocks(arc: &Arc, at_um: &mut [Option<i64>; 3]) -> Option<ArcBlocks> {
+fn compute_arc_blocks(arc: &ArcMove, at_um: &mut [Option<i64>; 3]) -> Option<ArcBlocks> {
     let mut from = [at_um[arc.axes[0]]?, at_um[arc.axes[1]]?];
     let centre = arc.centre_mm.map(to_micrometres);
     let mut blocks = Vec::new();
     for turn_deg in arc.block_angles_deg() {
-        let block = Arc { turn_deg, ..*arc };
+        let block = ArcMove { turn_deg, ..*arc };
         let end = block.end_mm(from.map(|um| um as f64 / 1000.0)).map(to_micrometres);
         let way = |to: [i64; 2]| [0, 1].map(|n| to[n] - from[n]);
         blocks.push((turn_deg > 0.0, way(end), way(centre)));

@@ -21,12 +21,12 @@ impl Plan {
         if !extents.is_empty() {
             // A lathe's screen shows diameters.
             let diameter = |axis: &str, mm: &[f64]| match (self.is_lathe && axis == "X", mm) {
-                (true, [mm]) => format!(" (diameter {})", round_to_um(2.0 * mm)),
+                (true, [mm]) => format!(" (diameter {})", round_to_micrometres(2.0 * mm)),
                 (true, [low, high]) => {
                     format!(
                         " (diameters {} to {})",
-                        round_to_um(2.0 * low),
-                        round_to_um(2.0 * high)
+                        round_to_micrometres(2.0 * low),
+                        round_to_micrometres(2.0 * high)
                     )
                 }
                 _ => String::new(),
@@ -44,7 +44,7 @@ impl Plan {
             let between = |(axis, [low, high]): &(&str, [f64; 2])| {
                 format!(
                     "{axis} moves {} mm, from {low} to {high} mm{}",
-                    round_to_um(high - low),
+                    round_to_micrometres(high - low),
                     diameter(axis, &[*low, *high])
                 )
             };
@@ -98,6 +98,6 @@ impl Plan {
 }
 
 /// Returns a difference of two positions without the rounding of `f64`.
-fn round_to_um(mm: f64) -> f64 {
+fn round_to_micrometres(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }

@@ -74,8 +74,8 @@ impl Default for MeasurementOptions {
             axes: Vec::new(),
             range_mm: [None; 3],
             clearance_mm: None,
-            approach_mm_per_min: APPROACH_FEED_MM_PER_MIN,
-            margin_mm: TRAVEL_MARGIN_MM,
+            approach_mm_per_min: DEFAULT_APPROACH_FEED_MM_PER_MIN,
+            margin_mm: DEFAULT_TRAVEL_MARGIN_MM,
             feeds_mm_per_min: Vec::new(),
             dwell_s: 5.0,
             at_mm: [None; 3],
@@ -99,9 +99,9 @@ impl Default for MeasurementOptions {
 }
 
 /// The feed of an approach, in mm/min: the operator has a second for each 8 mm.
-pub(crate) const APPROACH_FEED_MM_PER_MIN: f64 = 500.0;
+pub(crate) const DEFAULT_APPROACH_FEED_MM_PER_MIN: f64 = 500.0;
 /// The distance to the ends of travel, in mm: wider than a limit switch repeats.
-pub(crate) const TRAVEL_MARGIN_MM: f64 = 2.0;
+pub(crate) const DEFAULT_TRAVEL_MARGIN_MM: f64 = 2.0;
 /// No number of a measurement is larger; beyond it a control would not read it.
 const MAX_OPTION_VALUE: f64 = 1e6;
 

@@ -4,7 +4,7 @@
 //! reading is taken while the axes stand, or where a circle passes.
 
 use crate::{
-    arc::Arc,
+    arc::ArcMove,
     probe::{ProbedPoint, Touch},
 };
 
@@ -30,7 +30,7 @@ pub enum Step {
         feed_mm_per_min: f64,
     },
     /// Around a centre at the feed of the measurement, from where the axes have been sent before.
-    Arc(Arc),
+    Arc(ArcMove),
     /// One axis to a position at the approach feed of the plan, with a touch probe: contact on the way ends the program.
     Guarded {
         /// X, Y or Z: 0, 1, 2.
@@ -85,7 +85,7 @@ pub struct PlannedReading {
 impl PlannedReading {
     /// Returns the reading that touches have made.
     #[must_use]
-    pub(crate) fn from_touches(found: &ProbedPoint) -> Self {
+    pub(crate) fn from_probed_point(found: &ProbedPoint) -> Self {
         Self {
             run: found.run,
             position_mm: found.at_mm.map(Some),
@@ -240,9 +240,9 @@ impl PlanSimulation {
                 self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(*feed_mm_per_min);
                 self.moved_s += 60.0 * way_mm / feed_mm_per_min;
             }
-            Step::Arc(arc) => self.follow_arc(arc),
+            Step::Arc(arc) => self.execute_arc(arc),
             Step::Touch(touch) => self.execute_touch(touch),
-            Step::Found(found) => self.readings.push(PlannedReading::from_touches(found)),
+            Step::Found(found) => self.readings.push(PlannedReading::from_probed_point(found)),
             Step::Spindle(rpm) => {
                 self.now.spindle_rpm = *rpm;
                 self.max_rpm = self.max_rpm.max(*rpm);
@@ -301,7 +301,7 @@ impl PlanSimulation {
     }
 
     /// Goes around, and reads on the way. A plan has sent both axes before.
-    fn follow_arc(&mut self, arc: &Arc) {
+    fn execute_arc(&mut self, arc: &ArcMove) {
         let [Some(u), Some(v)] = arc.axes.map(|axis| self.now.position_mm[axis]) else { return };
         let start_mm = [u, v];
         let feed = arc.feed_mm_per_min;

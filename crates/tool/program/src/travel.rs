@@ -30,7 +30,7 @@ pub(crate) struct AxisTravel {
 
 /// The over-travel of the paper's own program (N10 … X50), in mm: so far an axis goes before it comes
 /// back, so that all play is taken up.
-const OVER_TRAVEL_MM: f64 = 50.0;
+const MAX_OVER_TRAVEL_MM: f64 = 50.0;
 /// A short axis has less: this share of it.
 const MAX_OVER_TRAVEL_FRACTION: f64 = 0.05;
 /// The shortest range, in mm: its over-travel of 0.1 mm still takes up the play of a worn axis.
@@ -48,7 +48,7 @@ impl AxisTravel {
 
     /// Returns how far the axis goes beyond a target before it approaches it, in mm.
     pub(crate) fn over_travel_mm(&self) -> f64 {
-        round_to_micrometres(OVER_TRAVEL_MM.min(MAX_OVER_TRAVEL_FRACTION * self.length_mm()))
+        round_to_micrometres(MAX_OVER_TRAVEL_MM.min(MAX_OVER_TRAVEL_FRACTION * self.length_mm()))
     }
 
     /// Returns the ends between which targets may be, in mm.
@@ -83,7 +83,7 @@ impl AxisTravel {
     /// Returns targets about `step_mm` apart over the inside, both ends included, rising.
     pub(crate) fn evenly_spaced_targets_mm(&self, step_mm: f64) -> Result<Vec<f64>, ProgramError> {
         let [low, high] = self.target_range_mm();
-        evenly_spaced(low, high, step_mm).ok_or_else(|| {
+        evenly_spaced_positions(low, high, step_mm).ok_or_else(|| {
             ProgramError(format!(
                 "--step-mm {step_mm} does not fit: {} may be sent from {low} to {high} mm, which gives \
                  2 to {MAX_TARGETS} targets",
@@ -104,7 +104,7 @@ impl AxisTravel {
 const MAX_TARGETS: usize = 2048;
 
 /// From `low` to `high` in steps of at most `step`; `None` where there are too many or no two.
-pub(crate) fn evenly_spaced(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
+pub(crate) fn evenly_spaced_positions(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
     // A step that fits but for rounding is no longer one.
     let steps = ((high - low) / step - 1e-9).ceil().max(1.0);
     if !(high > low && steps < MAX_TARGETS as f64) {

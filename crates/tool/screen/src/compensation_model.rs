@@ -5,7 +5,7 @@ use std::{borrow::Cow, collections::BTreeMap, path::Path};
 
 use trueup_client::cnc::CncState;
 use trueup_machine::{
-    BadInput, Machine, MachineFile,
+    InputFileError, Machine, MachineFile,
     compile::{compile, decompile},
     model::{
         ErrorComponents, ReferenceModel, RowInputs, apply_constant_terms, required_columns,
@@ -61,7 +61,7 @@ impl CompensationModel {
     ///
     /// # Errors
     /// The file cannot be read, or is wrong at a place that the error names.
-    pub fn read(path: &Path) -> Result<Self, BadInput> {
+    pub fn read(path: &Path) -> Result<Self, InputFileError> {
         Ok(Self::from_machine(MachineFile::read(path)?))
     }
 
@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn what_depends_on_tool_and_conditions_is_by_what_the_cnc_says_of_them() {
         use trueup_core::{
-            cnc::{Conditions, Spindle},
+            cnc::{MachineConditions, SpindleState},
             units::Rpm,
         };
         use trueup_link::frames;
@@ -281,8 +281,14 @@ mod tests {
         };
         let unknown = sum(&mut laws, &cnc);
         assert!(unknown[0].is_nan() && unknown[2].is_nan(), "{unknown:?}");
-        cnc.receive(&frames::encode_spindle(Spindle { speed: Rpm(20_000), load_n: 0 }, 0), 1_000);
-        cnc.receive(&frames::encode_conditions(Conditions { tool: 7, bits: 1 << 9 }, 0), 1_000);
+        cnc.receive(
+            &frames::encode_spindle(SpindleState { speed: Rpm(20_000), load_n: 0 }, 0),
+            1_000,
+        );
+        cnc.receive(
+            &frames::encode_conditions(MachineConditions { tool: 7, bits: 1 << 9 }, 0),
+            1_000,
+        );
         assert_eq!(names(&laws, &cnc), [("tool".into(), 7.0), ("coolant_on".into(), 1.0)]);
         assert_eq!(sum(&mut laws, &cnc), [-3.0, 0.0, 8.0]);
     }

@@ -15,7 +15,7 @@ use ratatui::{
 };
 use trueup_client::{
     UnusableInput,
-    build::Build,
+    build::BuildVersion,
     connection::{Connection, ConnectionEvent},
     object,
     poll::{ObjectPoller, PollOutcome},
@@ -43,7 +43,7 @@ const SAMPLE_PERIOD: Duration = Duration::from_millis(200);
 /// From one drawing to the next.
 const DRAW_PERIOD: Duration = Duration::from_millis(100);
 /// Characters of a picture of the screen, across and down.
-const SNAPSHOT_SIZE: [u16; 2] = [80, 24];
+const SNAPSHOT_SIZE_CHARS: [u16; 2] = [80, 24];
 /// A look at line and keys.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 /// A calibration is read once; after a refusal it is requested again, not sooner than this.
@@ -54,7 +54,7 @@ pub struct ScreenOptions {
     /// Where the bridge is.
     pub port: String,
     /// Who shows it: a bridge of another source is reported.
-    pub tool: Build,
+    pub tool: BuildVersion,
     /// The machine file.
     pub machine: Option<PathBuf>,
     /// Where a recording goes, which begins at once; otherwise `r` begins one in a folder of this day and
@@ -105,7 +105,7 @@ pub fn run(options: ScreenOptions) -> Result<bool> {
     }
     if let Some((path, after)) = live.options.picture.clone() {
         live.run_headless(&line, after)?;
-        let picture = view::svg::render_svg(&live.state, SNAPSHOT_SIZE);
+        let picture = view::svg::render_svg(&live.state, SNAPSHOT_SIZE_CHARS);
         fs::write(&path, picture).with_context(|| format!("while writing {}", path.display()))?;
         return Ok(live.state.is_error_free());
     }

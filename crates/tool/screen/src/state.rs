@@ -10,8 +10,8 @@ use trueup_client::{
 use trueup_core::{cnc::Output, dimensions::CHANNEL_COUNT};
 use trueup_link::{
     frame::Frame,
-    receiver::{Counters, OffsetReceiver},
-    status::Item,
+    receiver::{FrameCounters, OffsetReceiver},
+    status::StatusItem,
 };
 use trueup_machine::file::Quantity;
 
@@ -198,13 +198,13 @@ impl ScreenState {
         self.now_s = now_s;
         self.frames += 1;
         match self.board.receive(frame) {
-            Some(Item::Elongation(_)) => self.reported_s.growth = Some(now_s),
-            Some(Item::Temperatures { pair, .. }) => {
+            Some(StatusItem::Elongation(_)) => self.reported_s.growth = Some(now_s),
+            Some(StatusItem::Temperatures { pair, .. }) => {
                 if let Some(place) = self.reported_s.temperatures.get_mut(usize::from(pair)) {
                     *place = Some(now_s);
                 }
             }
-            Some(Item::State(_)) => self.reported_s.state = Some(now_s),
+            Some(StatusItem::State(_)) => self.reported_s.state = Some(now_s),
             _ => {}
         }
         self.cnc.receive(frame, (now_s * 1_000.0) as u64);
@@ -436,7 +436,7 @@ impl ScreenState {
     }
 
     /// For whom the bridge waits that gives no offset: "engage" or "confirm".
-    pub(crate) fn awaited_command(&self) -> Option<&'static str> {
+    pub(crate) fn pending_action(&self) -> Option<&'static str> {
         pending_action(self.output()?.quality, self.board.state, self.board.calibration)
     }
 
@@ -457,7 +457,7 @@ impl ScreenState {
 
     /// Returns what was received of the offsets, since the screen began.
     #[must_use]
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> FrameCounters {
         self.offsets.counters()
     }
 
@@ -479,7 +479,7 @@ impl ScreenState {
         let mut words = self.board.fault_and_state_names();
         words.extend(self.output().map(|output| flag_names(output.flags)).unwrap_or_default());
         let of_cnc = ["cnc-damaged", "cnc-sequence", "cnc-malformed"];
-        let refused = of_cnc.into_iter().zip(self.board.rejected_cnc_frames());
+        let refused = of_cnc.into_iter().zip(self.board.rejected_cnc_frame_counts());
         words.extend(refused.filter(|(_, count)| *count > 0).map(|(word, _)| word));
         find_remedies(&words)
     }
@@ -487,8 +487,8 @@ impl ScreenState {
     /// Nothing on the line was damaged or out of order.
     #[must_use]
     pub fn is_error_free(&self) -> bool {
-        let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters();
-        let refused = self.board.rejected_frame_count() + self.malformed_lines;
+        let FrameCounters { malformed, crc_errors, sequence_errors, .. } = self.counters();
+        let refused = self.board.rejected_status_frame_count() + self.malformed_lines;
         // What was dropped as too old is missing in the sequence, and is no error of a frame.
         let sequence_errors = if self.dropped == 0 { sequence_errors } else { 0 };
         malformed + crc_errors + sequence_errors + refused == 0

@@ -11,17 +11,17 @@ use trueup_client::{
     state_text::{flag_names, offset_um},
     status::BoardStatus,
 };
-use trueup_core::cnc::{Output, Quality};
+use trueup_core::cnc::{OffsetQuality, Output};
 use trueup_link::{
     frame::Frame,
     frames::{self, NmtState as NodeState},
     receiver::OffsetReceiver,
     slcan::Event,
-    status::Item,
+    status::StatusItem,
 };
 use trueup_output::escape::escape_line;
 
-use crate::snapshot::{BridgeIdentity, Snapshot};
+use crate::snapshot::{BridgeIdentity, BridgeSnapshot};
 
 /// Offsets older than this are not of now: a thousand cycles.
 const MAX_OFFSET_AGE: Duration = Duration::from_secs(1);
@@ -79,7 +79,7 @@ impl BridgeMonitor {
                 self.restart_polls(now);
             }
             ConnectionEvent::Down(why) => {
-                self.lost_before = self.lost_frames();
+                self.lost_before = self.lost_frame_count();
                 self.is_open = false;
                 self.why = Some(why);
                 self.board = BoardStatus::default();
@@ -100,7 +100,7 @@ impl BridgeMonitor {
             return None;
         }
         // The state comes last of all that is waited for after a start.
-        if let Some(Item::State(_)) = self.board.receive(frame) {
+        if let Some(StatusItem::State(_)) = self.board.receive(frame) {
             self.status_at = Some(now);
         }
         let ms = now.saturating_duration_since(self.start).as_millis();
@@ -155,28 +155,28 @@ impl BridgeMonitor {
         None
     }
 
-    fn lost_frames(&self) -> u32 {
+    fn lost_frame_count(&self) -> u32 {
         self.lost_before.saturating_add(self.offsets.counters().lost)
     }
 
     /// Returns what is known now.
     #[must_use]
-    pub fn snapshot(&self, now: Instant) -> Snapshot {
+    pub fn snapshot(&self, now: Instant) -> BridgeSnapshot {
         let is_fresh = |at: Instant, lasts| now.saturating_duration_since(at) <= lasts;
         let output =
             self.output.as_ref().filter(|(_, at)| self.is_open && is_fresh(*at, MAX_OFFSET_AGE));
-        let mut snapshot = Snapshot {
+        let mut snapshot = BridgeSnapshot {
             is_up: output.is_some(),
             why: self.why.clone(),
             identity: self.identity.clone(),
-            lost_frames: self.lost_frames(),
+            lost_frames: self.lost_frame_count(),
             starts: self.starts,
-            ..Snapshot::default()
+            ..BridgeSnapshot::default()
         };
         let Some((output, _)) = output else { return snapshot };
         snapshot.quality = Some(output.quality);
         snapshot.flags = flag_names(output.flags);
-        if output.quality != Quality::Fault {
+        if output.quality != OffsetQuality::Fault {
             snapshot.offset_um =
                 offset_um(output).map_or([None; 3], |offset_um| offset_um.map(Some));
         }

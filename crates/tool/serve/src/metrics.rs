@@ -5,7 +5,7 @@
 use trueup_client::state_text::quality_name;
 use trueup_core::dimensions::CHANNEL_COUNT;
 
-use crate::snapshot::Snapshot;
+use crate::snapshot::BridgeSnapshot;
 
 /// A value, and of which kind it is even where there is none.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +48,7 @@ const TEMPERATURE_METRICS: [&str; CHANNEL_COUNT] = [
 
 /// Returns all metrics of a bridge.
 #[must_use]
-pub(crate) fn bridge_metrics(of: &Snapshot) -> Vec<Metric> {
+pub(crate) fn bridge_metrics(of: &BridgeSnapshot) -> Vec<Metric> {
     let text =
         |name, text: Option<String>| Metric { name, unit: "", value: MetricValue::Text(text) };
     let words =
@@ -81,20 +81,20 @@ pub(crate) fn bridge_metrics(of: &Snapshot) -> Vec<Metric> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_core::cnc::Quality;
+    use trueup_core::cnc::OffsetQuality;
 
     #[test]
     fn the_list_is_the_same_whatever_is_known() {
-        let known = Snapshot {
+        let known = BridgeSnapshot {
             is_up: true,
-            quality: Some(Quality::Live),
+            quality: Some(OffsetQuality::Live),
             offset_um: [Some(1.5), None, Some(-2.0)],
             calibration: Some(0xAB),
             has_status: true,
-            ..Snapshot::default()
+            ..BridgeSnapshot::default()
         };
-        let silent = Snapshot { has_status: false, ..known.clone() };
-        let (known, unknown) = (bridge_metrics(&known), bridge_metrics(&Snapshot::default()));
+        let silent = BridgeSnapshot { has_status: false, ..known.clone() };
+        let (known, unknown) = (bridge_metrics(&known), bridge_metrics(&BridgeSnapshot::default()));
         let names = |all: &[Metric]| all.iter().map(|metric| metric.name).collect::<Vec<_>>();
         assert_eq!(names(&known), names(&unknown));
         let mut different = names(&known);

@@ -38,7 +38,7 @@ const MIN_STATE_CHANGE_INTERVAL: Duration = Duration::from_millis(100);
 /// From one look at what is to be sent to the next.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Records that wait for their acknowledgement at most.
-const MAX_UNACKNOWLEDGED: usize = 64;
+const MAX_UNACKNOWLEDGED_RECORDS: usize = 64;
 /// Minimum time between two requests of a host for all births.
 const MIN_REBIRTH_INTERVAL: Duration = Duration::from_millis(500);
 /// Births that are known again when they come back.
@@ -48,12 +48,12 @@ const MAX_REPORTED_TOPICS: usize = 16;
 /// How long the last messages may take.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 /// The first and the longest pause before the next try.
-const RETRY_DELAYS: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
+const RECONNECT_DELAY_RANGE: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
 /// A connection that lasted so long was a good one: the pauses begin anew.
 const STABLE_CONNECTION_TIME: Duration = Duration::from_secs(10);
 
 /// Who publishes.
-pub struct PublisherConfig {
+pub struct MqttPublisherConfig {
     /// The broker.
     pub broker: BrokerConfig,
     /// The name of the edge node.
@@ -69,8 +69,8 @@ pub struct PublisherConfig {
 }
 
 /// Publishes until the end.
-pub fn run(shared: &SharedState, publisher: &PublisherConfig, node: &mut EdgeNode) {
-    let mut pause = RETRY_DELAYS[0];
+pub fn run(shared: &SharedState, publisher: &MqttPublisherConfig, node: &mut EdgeNode) {
+    let mut pause = RECONNECT_DELAY_RANGE[0];
     let mut reported = None;
     while !shared.is_stop_requested() {
         let began = Instant::now();
@@ -85,9 +85,9 @@ pub fn run(shared: &SharedState, publisher: &PublisherConfig, node: &mut EdgeNod
             reported = Some(why);
         }
         pause = if began.elapsed() > STABLE_CONNECTION_TIME {
-            RETRY_DELAYS[0]
+            RECONNECT_DELAY_RANGE[0]
         } else {
-            RETRY_DELAYS[1].min(2 * pause)
+            RECONNECT_DELAY_RANGE[1].min(2 * pause)
         };
         let until = Instant::now() + pause;
         while Instant::now() < until && !shared.is_stop_requested() {
@@ -99,7 +99,7 @@ pub fn run(shared: &SharedState, publisher: &PublisherConfig, node: &mut EdgeNod
 /// One connection; returns why it ended.
 fn run_connection(
     shared: &SharedState,
-    publisher: &PublisherConfig,
+    publisher: &MqttPublisherConfig,
     node: &mut EdgeNode,
     reported: &mut Option<String>,
 ) -> String {
@@ -124,7 +124,7 @@ fn run_connection(
         for happened in connection.wait_for_events(POLL_INTERVAL) {
             match happened {
                 ConnectionEvent::Accepted => {
-                    link.subscribe(&connection);
+                    link.subscribe_topics(&connection);
                     link.is_birth_requested = link.host.is_none();
                     if reported.take().is_some() {
                         (publisher.report)("the broker is connected again");
@@ -143,14 +143,14 @@ fn run_connection(
             connection.disconnect(SHUTDOWN_TIMEOUT);
             return "the primary host application is offline".into();
         }
-        link.publish_due(&mut connection, node);
+        link.publish_due_messages(&mut connection, node);
     }
 }
 
 /// A connection that the broker has accepted.
 struct BrokerSession<'a> {
     shared: &'a SharedState,
-    publisher: &'a PublisherConfig,
+    publisher: &'a MqttPublisherConfig,
     host: Option<PrimaryHost>,
     /// The numbers of the records that are on their way, by their packet identifier.
     open: HashMap<u16, u64>,
@@ -167,7 +167,7 @@ struct BrokerSession<'a> {
 }
 
 impl BrokerSession<'_> {
-    fn subscribe(&self, connection: &Connection) {
+    fn subscribe_topics(&self, connection: &Connection) {
         let name = &self.publisher.name;
         connection.subscribe(&sparkplug::topic("NCMD", name, None), QoS::AtLeastOnce);
         connection.subscribe(&sparkplug::topic("NBIRTH", name, None), QoS::AtMostOnce);
@@ -235,7 +235,7 @@ impl BrokerSession<'_> {
     }
 
     /// Publishes what is due.
-    fn publish_due(&mut self, connection: &mut Connection, node: &mut EdgeNode) {
+    fn publish_due_messages(&mut self, connection: &mut Connection, node: &mut EdgeNode) {
         let now = Instant::now();
         let may_be_born = self.born_at.is_none_or(|at| now - at >= MIN_REBIRTH_INTERVAL);
         if self.is_birth_requested && may_be_born {
@@ -258,7 +258,9 @@ impl BrokerSession<'_> {
                 self.shared.lock_spool().settle(now);
             }
         }
-        while self.is_born && self.open.len() + connection.unsent_count() < MAX_UNACKNOWLEDGED {
+        while self.is_born
+            && self.open.len() + connection.unsent_count() < MAX_UNACKNOWLEDGED_RECORDS
+        {
             let Some(record) = self.shared.lock_spool().next_to_send(now) else { break };
             let number = record.number;
             if !connection.publish_record(record) {
@@ -271,7 +273,7 @@ impl BrokerSession<'_> {
     fn send_messages(
         &mut self,
         connection: &mut Connection,
-        messages: Vec<sparkplug::node::Message>,
+        messages: Vec<sparkplug::node::MqttMessage>,
     ) {
         for message in messages {
             if message.topic.contains("BIRTH/") {

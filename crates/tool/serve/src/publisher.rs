@@ -21,11 +21,11 @@ use crate::{
     broker::BrokerConfig,
     clock,
     identity::{self, PublisherIdentity},
-    mqtt::{self, PublisherConfig},
+    mqtt::{self, MqttPublisherConfig},
     mtconnect::{adapter::Adapter, devices},
     recorder::Recorder,
     shared::{self, SharedState},
-    snapshot::{BridgeIdentity, Snapshot},
+    snapshot::{BridgeIdentity, BridgeSnapshot},
     sparkplug::node::EdgeNode,
     spool::Spool,
 };
@@ -33,7 +33,7 @@ use crate::{
 /// From one look at the bridges to the next.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How long one try waits for both ends.
-const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(5);
+const ONCE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The ends of a publisher, and how it publishes.
 pub struct PublisherOptions {
@@ -62,7 +62,7 @@ pub struct PublisherOptions {
 }
 
 /// The result of a publisher that has ended.
-pub struct RunSummary {
+pub struct PublisherSummary {
     /// Every end was there.
     pub is_whole: bool,
     /// The counts, for people and programs.
@@ -77,7 +77,7 @@ pub fn run(
     options: PublisherOptions,
     stop: Arc<AtomicBool>,
     report: impl Fn(&str) + Clone + Send + 'static,
-) -> Result<RunSummary> {
+) -> Result<PublisherSummary> {
     let spool = Spool::open(&options.spool, options.spool_bytes)?;
     let now = Instant::now();
     let bridges = options.ports.iter().map(|_| BridgeMonitor::new(now)).collect();
@@ -112,7 +112,7 @@ pub fn run(
         let at = (Instant::now(), clock::now_ms());
         let events = recorder.record_snapshots(&shared, &snapshots, at, &report);
         work.adapter.update(&snapshots, &events, at.1);
-        let is_over = work.is_fully_connected(&snapshots) || now.elapsed() >= ATTEMPT_TIMEOUT;
+        let is_over = work.is_fully_connected(&snapshots) || now.elapsed() >= ONCE_TIMEOUT;
         if options.once && is_over {
             break;
         }
@@ -123,7 +123,7 @@ pub fn run(
     for thread in threads {
         thread.join().ok().context("a thread has panicked")?;
     }
-    Ok(RunSummary { is_whole, counts: counts_json(&shared) })
+    Ok(PublisherSummary { is_whole, counts: counts_json(&shared) })
 }
 
 fn spawn_mqtt_publisher(
@@ -134,7 +134,7 @@ fn spawn_mqtt_publisher(
 ) -> Result<thread::JoinHandle<()>> {
     let PublisherIdentity { id, bd_seq } = identity::read_or_create(&options.spool)?;
     let (folder, retained) = (options.spool.clone(), id.clone());
-    let publisher = PublisherConfig {
+    let publisher = MqttPublisherConfig {
         broker,
         name: options.name.clone(),
         id: format!("trueup-{}-{id}", options.name),
@@ -161,7 +161,7 @@ struct MainLoop<'a> {
 
 impl MainLoop<'_> {
     /// Writes `Devices.devices_xml` when it is known who the bridges are, and when that changes.
-    fn update_device_description(&mut self, bridges: &[Snapshot], report: &dyn Fn(&str)) {
+    fn update_device_description(&mut self, bridges: &[BridgeSnapshot], report: &dyn Fn(&str)) {
         if self.options.mtconnect.is_empty() && self.options.devices.is_none() {
             return;
         }
@@ -183,7 +183,7 @@ impl MainLoop<'_> {
     }
 
     /// Returns whether every bridge is there, and the broker if there is one.
-    fn is_fully_connected(&self, bridges: &[Snapshot]) -> bool {
+    fn is_fully_connected(&self, bridges: &[BridgeSnapshot]) -> bool {
         let is_online = self.shared.counts().is_online.load(Ordering::Relaxed);
         let are_there =
             bridges.iter().all(|bridge| bridge.is_up && bridge.identity.serial.is_some());

@@ -12,7 +12,7 @@ use std::{
 use crate::{
     clock::ClockStepDetector,
     shared::SharedState,
-    snapshot::{BridgeEvent, Snapshot, detect_events},
+    snapshot::{BridgeEvent, BridgeSnapshot, detect_events},
     sparkplug::{device_id, event_record, snapshot_record},
     spool::NewRecord,
 };
@@ -29,7 +29,7 @@ pub struct Recorder {
     row: Duration,
     /// Without a broker nothing is recorded.
     is_recording: bool,
-    before: Vec<Snapshot>,
+    before: Vec<BridgeSnapshot>,
     pending: VecDeque<NewRecord>,
     row_due: Instant,
     write_due: Instant,
@@ -58,11 +58,11 @@ impl Recorder {
     pub fn record_snapshots(
         &mut self,
         shared: &SharedState,
-        bridges: &[Snapshot],
+        bridges: &[BridgeSnapshot],
         (now, now_ms): (Instant, u64),
         report: &dyn Fn(&str),
     ) -> Vec<(usize, BridgeEvent)> {
-        self.before.resize_with(bridges.len(), Snapshot::default);
+        self.before.resize_with(bridges.len(), BridgeSnapshot::default);
         let mut happened = Vec::new();
         for (place, (before, bridge)) in self.before.iter().zip(bridges).enumerate() {
             happened.extend(detect_events(before, bridge).into_iter().map(|event| (place, event)));
@@ -102,11 +102,11 @@ impl Recorder {
             }
         }
         self.before = bridges.to_vec();
-        self.write_pending(shared, now, report);
+        self.write_pending_entries(shared, now, report);
         happened
     }
 
-    fn write_pending(&mut self, shared: &SharedState, now: Instant, report: &dyn Fn(&str)) {
+    fn write_pending_entries(&mut self, shared: &SharedState, now: Instant, report: &dyn Fn(&str)) {
         if self.pending.is_empty() || now < self.write_due {
             return;
         }

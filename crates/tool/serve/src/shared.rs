@@ -11,7 +11,7 @@ use std::{
 
 use trueup_client::{connection::Connection, duplex_stream::DuplexStream};
 
-use crate::{bridge::BridgeMonitor, snapshot::Snapshot, spool::Spool};
+use crate::{bridge::BridgeMonitor, snapshot::BridgeSnapshot, spool::Spool};
 
 /// From one look at the line to the next. Events between them are taken together.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
@@ -24,13 +24,13 @@ struct Inner {
     /// A lock each: the thread of a line waits for no other bridge.
     bridges: Vec<Mutex<BridgeMonitor>>,
     spool: Mutex<Spool>,
-    counts: Counts,
+    counts: PublisherCounters,
     stop: Arc<AtomicBool>,
 }
 
 /// Counts since the publisher began.
 #[derive(Default)]
-pub struct Counts {
+pub struct PublisherCounters {
     /// Rows and events on the disk.
     pub recorded: AtomicU64,
     /// Those that found no place on the disk.
@@ -49,7 +49,8 @@ impl SharedState {
     /// Returns what is shared. Everything ends when `stop` is set.
     #[must_use]
     pub fn new(bridges: Vec<BridgeMonitor>, spool: Spool, stop: Arc<AtomicBool>) -> Self {
-        let (counts, bridges) = (Counts::default(), bridges.into_iter().map(Mutex::new).collect());
+        let (counts, bridges) =
+            (PublisherCounters::default(), bridges.into_iter().map(Mutex::new).collect());
         Self(Arc::new(Inner { bridges, spool: Mutex::new(spool), counts, stop }))
     }
 
@@ -62,7 +63,7 @@ impl SharedState {
 
     /// Returns what is known of the bridges now.
     #[must_use]
-    pub fn snapshots(&self) -> Vec<Snapshot> {
+    pub fn snapshots(&self) -> Vec<BridgeSnapshot> {
         let now = Instant::now();
         (0..)
             .map_while(|place| self.lock_bridge(place))
@@ -77,7 +78,7 @@ impl SharedState {
 
     /// Returns the counts.
     #[must_use]
-    pub fn counts(&self) -> &Counts {
+    pub fn counts(&self) -> &PublisherCounters {
         &self.0.counts
     }
 

@@ -1,7 +1,7 @@
 //! The state of a bridge at one moment, and the events from one moment to the next.
 
 use trueup_client::state_text::quality_name;
-use trueup_core::{cnc::Quality, dimensions::CHANNEL_COUNT};
+use trueup_core::{cnc::OffsetQuality, dimensions::CHANNEL_COUNT};
 
 /// Why a bridge is down whose line is open.
 pub(crate) const NO_OFFSETS_REASON: &str = "no offsets come";
@@ -19,7 +19,7 @@ pub struct BridgeIdentity {
 
 /// The known state of a bridge; without a line nothing is known.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Snapshot {
+pub struct BridgeSnapshot {
     /// Valid offsets come from it.
     pub is_up: bool,
     /// Why the line was lost, until offsets come again.
@@ -29,7 +29,7 @@ pub struct Snapshot {
     /// The newest offsets of X, Y and Z in µm.
     pub offset_um: [Option<f64>; 3],
     /// How good they are.
-    pub quality: Option<Quality>,
+    pub quality: Option<OffsetQuality>,
     /// Why they are not simply the full correction.
     pub flags: Vec<&'static str>,
     /// By channel.
@@ -71,7 +71,7 @@ impl BridgeEvent {
 
 /// Returns what has happened between two moments, in the order in which it is best read.
 #[must_use]
-pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<BridgeEvent> {
+pub(crate) fn detect_events(before: &BridgeSnapshot, now: &BridgeSnapshot) -> Vec<BridgeEvent> {
     let mut events = Vec::new();
     match (before.is_up, now.is_up) {
         (true, false) => {
@@ -123,24 +123,24 @@ pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<BridgeEven
 mod tests {
     use super::*;
 
-    fn codes(before: &Snapshot, now: &Snapshot) -> Vec<(&'static str, String)> {
+    fn codes(before: &BridgeSnapshot, now: &BridgeSnapshot) -> Vec<(&'static str, String)> {
         detect_events(before, now).into_iter().map(|event| (event.code, event.about)).collect()
     }
 
     #[test]
     fn each_change_is_an_event_and_a_value_that_moves_is_none() {
-        let up = Snapshot {
+        let up = BridgeSnapshot {
             is_up: true,
-            quality: Some(Quality::Live),
+            quality: Some(OffsetQuality::Live),
             faults: vec!["cnc-lost"],
             calibration: Some(0xAB),
             has_status: true,
-            ..Snapshot::default()
+            ..BridgeSnapshot::default()
         };
-        let same = Snapshot { offset_um: [Some(1.0); 3], lost_frames: 3, ..up.clone() };
+        let same = BridgeSnapshot { offset_um: [Some(1.0); 3], lost_frames: 3, ..up.clone() };
         assert_eq!(codes(&up, &same), []);
-        let now = Snapshot {
-            quality: Some(Quality::Hold),
+        let now = BridgeSnapshot {
+            quality: Some(OffsetQuality::Hold),
             faults: vec!["sensor-range"],
             state: vec!["restarted"],
             calibration: Some(0xCD),
@@ -156,24 +156,28 @@ mod tests {
             ("state-set", "restarted"),
         ];
         assert_eq!(codes(&up, &now), expected.map(|(code, about)| (code, about.to_owned())));
-        let unknown =
-            Snapshot { has_status: false, faults: Vec::new(), calibration: None, ..up.clone() };
+        let unknown = BridgeSnapshot {
+            has_status: false,
+            faults: Vec::new(),
+            calibration: None,
+            ..up.clone()
+        };
         assert_eq!(codes(&up, &unknown), [], "a status that does not come clears no fault");
     }
 
     #[test]
     fn a_line_that_is_lost_changes_nothing_else() {
-        let up = Snapshot {
+        let up = BridgeSnapshot {
             is_up: true,
             has_status: true,
             faults: vec!["store"],
-            ..Snapshot::default()
+            ..BridgeSnapshot::default()
         };
-        let down = Snapshot { why: Some("closed".into()), ..Snapshot::default() };
+        let down = BridgeSnapshot { why: Some("closed".into()), ..BridgeSnapshot::default() };
         assert_eq!(codes(&up, &down), [("bridge-down", "closed".to_owned())]);
         assert_eq!(codes(&down, &down), []);
         assert_eq!(
-            codes(&up, &Snapshot::default()),
+            codes(&up, &BridgeSnapshot::default()),
             [("bridge-down", NO_OFFSETS_REASON.to_owned())]
         );
         let expected = [("bridge-up", String::new()), ("fault-set", "store".into())];

@@ -14,7 +14,7 @@ use srad_types::payload::{
 use crate::{
     clock::format_utc,
     metrics::{Metric, MetricValue, bridge_metrics},
-    snapshot::{BridgeEvent, Snapshot},
+    snapshot::{BridgeEvent, BridgeSnapshot},
     spool::NewRecord,
 };
 
@@ -171,7 +171,7 @@ pub(crate) fn event_record(
 pub(crate) fn snapshot_record(
     node: &str,
     device: Option<&str>,
-    of: &Snapshot,
+    of: &BridgeSnapshot,
     time_ms: u64,
 ) -> NewRecord {
     let mut known = bridge_metrics(of);

@@ -122,7 +122,7 @@ impl Spool {
                 folder.display()
             )
         })?;
-        let settled = read_settled(folder);
+        let settled = read_settled_number(folder);
         let mut spool = Self {
             folder: folder.into(),
             limit,
@@ -137,7 +137,7 @@ impl Spool {
             _lock: lock,
         };
         spool.load_segments().with_context(place)?;
-        spool.remove_settled();
+        spool.remove_settled_segments();
         Ok(spool)
     }
 
@@ -320,7 +320,7 @@ impl Spool {
         self.settled = done.last().map_or(before, |entry| entry.number);
         if self.settled != before {
             self.prune_acknowledged();
-            self.remove_settled();
+            self.remove_settled_segments();
         }
     }
 
@@ -328,7 +328,7 @@ impl Spool {
         self.acknowledged = self.acknowledged.split_off(&(self.settled + 1));
     }
 
-    fn remove_settled(&mut self) {
+    fn remove_settled_segments(&mut self) {
         let is_written = usize::from(self.active.is_some());
         while self.segments.len() > is_written
             && let Some(oldest) = self.segments.front()
@@ -340,7 +340,7 @@ impl Spool {
         // If it is lost, some records are sent once more.
         let path = self.folder.join(SETTLED_FILE_NAME);
         let new = path.with_extension("new");
-        let text = format_settled(self.settled);
+        let text = format_settled_number(self.settled);
         fs::write(&new, text).and_then(|()| fs::rename(&new, &path)).ok();
     }
 
@@ -381,15 +381,15 @@ fn parse_file_name(path: &Path) -> Option<(u64, u64)> {
     Some((first.parse().ok()?, u64::from_str_radix(id, 16).ok()?))
 }
 
-fn read_settled(folder: &Path) -> u64 {
+fn read_settled_number(folder: &Path) -> u64 {
     let text = fs::read_to_string(folder.join(SETTLED_FILE_NAME)).unwrap_or_default();
     let number = text.split(' ').next().and_then(|part| part.parse().ok());
     // A number that is too high by a flipped bit would remove records that were never sent.
-    number.filter(|number| text == format_settled(*number)).unwrap_or(0)
+    number.filter(|number| text == format_settled_number(*number)).unwrap_or(0)
 }
 
 /// Returns the text of the file [`SETTLED_FILE_NAME`]: the number and its checksum.
-fn format_settled(number: u64) -> String {
+fn format_settled_number(number: u64) -> String {
     format!("{number} {:08x}\n", CRC.checksum(&number.to_le_bytes()))
 }
 

@@ -10,7 +10,7 @@ use trueup_core::dimensions::CHANNEL_COUNT;
 use trueup_linuxcnc_core::joint::MAX_JOINTS;
 use trueup_store::{
     calibration::BlobError,
-    retained::{COPY_SIZE, RetainedCopies},
+    retained::{RETAINED_COPY_SIZE, RetainedCopies},
 };
 
 use crate::{
@@ -23,7 +23,7 @@ pub const BRIDGE_MEMORY_BYTES: usize = 65_536;
 /// Alignment of this memory.
 pub const BRIDGE_MEMORY_ALIGNMENT: usize = 16;
 /// Bytes of the two copies of what outlasts a restart.
-pub(crate) const RETAINED_BYTES: usize = 2 * COPY_SIZE;
+pub(crate) const RETAINED_BYTES: usize = 2 * RETAINED_COPY_SIZE;
 const _: () = assert!(RETAINED_BYTES == mem::size_of::<RetainedCopies>());
 const _: () = assert!(
     mem::size_of::<Servo>() <= BRIDGE_MEMORY_BYTES

@@ -17,7 +17,7 @@
 use trueup_core::{dimensions::CODES_PER_TICK, units::AdcCode};
 
 /// The largest code of the converter.
-const MAX_CODE: f64 = 4_095.0;
+const MAX_ADC_CODE: f64 = 4_095.0;
 
 /// The input of the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,7 +57,7 @@ impl TickSamples {
             (volts - before).abs() < 0.5 * scale.resolution_v || volts == before
         });
         self.volts = Some(volts);
-        let codes = (volts * scale.codes_per_v).clamp(0.0, MAX_CODE);
+        let codes = (volts * scale.codes_per_v).clamp(0.0, MAX_ADC_CODE);
         let length = CODES_PER_TICK / parts.max(1);
         let places = self.codes.iter_mut().skip(part.saturating_mul(length)).take(length);
         if is_repeated {
@@ -83,7 +83,7 @@ impl TickSamples {
 }
 
 fn clamp_code(number: u16) -> AdcCode {
-    AdcCode(number.min(MAX_CODE as u16))
+    AdcCode(number.min(MAX_ADC_CODE as u16))
 }
 
 #[cfg(test)]
@@ -103,7 +103,7 @@ mod tests {
             let volts = f64::from(step) * 0.0005;
             samples.add_sample(volts, &SCALE, 0, 1);
             let mean = f64::from(sum(&samples)) / CODES_PER_TICK as f64;
-            let exact = (volts * SCALE.codes_per_v).min(MAX_CODE);
+            let exact = (volts * SCALE.codes_per_v).min(MAX_ADC_CODE);
             assert!((mean - exact).abs() <= 0.0251, "{volts} V: {mean}, not {exact}");
             let codes = samples.codes().expect("known");
             let steps = codes.windows(2).filter(|two| two[0] != two[1]);

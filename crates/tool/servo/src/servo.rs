@@ -21,7 +21,7 @@
 use core::time::Duration;
 
 use trueup_core::{
-    bridge::Input, cnc::Conditions, dimensions::CHANNEL_COUNT,
+    bridge::TickInput, cnc::MachineConditions, dimensions::CHANNEL_COUNT,
     temperature_channels::RawTemperatures, thermometer::RawReading,
 };
 use trueup_link::slcan::Event;
@@ -56,9 +56,9 @@ const US_PER_S: u64 = 1_000_000;
 const NS_PER_US: u64 = 1_000;
 const US_PER_TICK: u64 = 1_000;
 /// LinuxCNC rounds a period to its timer.
-const PERIOD_TOLERANCE_NS: u64 = 1_000;
+const SERVO_PERIOD_TOLERANCE_NS: u64 = 1_000;
 /// Supported servo periods.
-const SUPPORTED_PERIODS_US: [u64; 4] = [500, 1_000, 2_000, 4_000];
+const SUPPORTED_SERVO_PERIODS_US: [u64; 4] = [500, 1_000, 2_000, 4_000];
 
 /// How the component is set: what setup has written into the HAL file.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,8 +176,9 @@ pub struct Servo {
 /// # Errors
 /// [`ServoError::Period`].
 pub(crate) fn supported_period_us(period_ns: u64) -> Result<u64, ServoError> {
-    let near = |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= PERIOD_TOLERANCE_NS;
-    SUPPORTED_PERIODS_US.iter().find(near).copied().ok_or(ServoError::Period(period_ns))
+    let near =
+        |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= SERVO_PERIOD_TOLERANCE_NS;
+    SUPPORTED_SERVO_PERIODS_US.iter().find(near).copied().ok_or(ServoError::Period(period_ns))
 }
 
 impl Servo {
@@ -304,7 +305,7 @@ impl Servo {
     /// [`ServoError::Period`]: nothing has run.
     pub fn step(&mut self, inputs: &ServoInputs, period_ns: u64) -> Result<Outputs, ServoError> {
         let period_us = supported_period_us(period_ns)?;
-        self.sample(inputs, period_us);
+        self.sample_inputs(inputs, period_us);
         let now = Duration::from_micros(self.now_us);
         let position =
             self.position_before.replace(inputs.position).filter(|_| self.has_joint_offsets());
@@ -330,7 +331,7 @@ impl Servo {
     }
 
     /// Takes the samples of this period.
-    fn sample(&mut self, inputs: &ServoInputs, period_us: u64) {
+    fn sample_inputs(&mut self, inputs: &ServoInputs, period_us: u64) {
         let parts = if period_us < US_PER_TICK { 2 } else { 1 };
         let part = usize::from(self.pending_us > 0);
         self.samples.add_sample(inputs.sensor_v, &self.settings.sensor, part, parts);
@@ -361,7 +362,7 @@ impl Servo {
         {
             *place = if is_late { RawReading::NONE } else { channel.raw_reading(*celsius) };
         }
-        let input = Input {
+        let input = TickInput {
             codes: self.samples.codes(),
             speed: None,
             temperatures: Some(&self.temperatures),
@@ -412,7 +413,7 @@ impl Servo {
             load_n: inputs.load_n,
             conditions: u16::try_from(inputs.tool)
                 .ok()
-                .map(|tool| Conditions { tool, bits: inputs.conditions }),
+                .map(|tool| MachineConditions { tool, bits: inputs.conditions }),
         }
     }
 }

@@ -16,7 +16,7 @@ const CALLENDAR_VAN_DUSEN_B: f64 = -5.775e-7;
 const CALLENDAR_VAN_DUSEN_C: f64 = -4.183e-12;
 const PT100_R0_MICROOHMS: f64 = 1e8;
 /// Beyond this either way a thermometer has failed, and no polynomial of it means anything.
-const MAX_TEMPERATURE_C: f64 = 1_000.0;
+const MAX_ABS_TEMPERATURE_C: f64 = 1_000.0;
 
 /// How a channel is made of degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +54,7 @@ impl ChannelConversion {
     /// Returns what the thermometer delivers at a temperature; nothing where that is not a number.
     #[must_use]
     pub(crate) fn raw_reading(&self, celsius: f64) -> RawReading {
-        if !celsius.is_finite() || celsius.abs() > MAX_TEMPERATURE_C {
+        if !celsius.is_finite() || celsius.abs() > MAX_ABS_TEMPERATURE_C {
             return RawReading::NONE;
         }
         let exact = match *self {

@@ -6,7 +6,7 @@ use std::path::Path;
 use trueup_link::status::StateBits;
 use trueup_machine::{MachineFile, compile};
 use trueup_servo::{Outputs, Servo, ServoInputs, ServoSettings, sensor::SensorScale};
-use trueup_store::retained::{COPY_SIZE, RetainedCopies};
+use trueup_store::retained::{RETAINED_COPY_SIZE, RetainedCopies};
 
 /// A spindle that grows by 80 µm in some minutes, and a thermometer.
 const MACHINE: &str = r#"
@@ -78,11 +78,11 @@ fn blob() -> &'static [u8] {
 
 /// Returns the copies of a spindle that has run for some minutes, and its growth.
 fn warm(blob: &'static [u8]) -> (RetainedCopies, f64) {
-    let mut copies = [[0; COPY_SIZE]; 2];
+    let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
     let mut servo = servo(blob);
     // Never run before: nothing is known, and the operator says that it is cold.
     servo.resume(&copies, Some(NOW_S));
-    let mut nothing = [[0; COPY_SIZE]; 2];
+    let mut nothing = [[0; RETAINED_COPY_SIZE]; 2];
     let outputs = live(&mut servo, &mut nothing, 0.0, 3);
     assert!(outputs.state.0 & StateBits::HEAT_UNKNOWN.0 != 0, "{outputs:?}");
     let mut cold = self::servo(blob);
@@ -112,7 +112,7 @@ fn with_a_clock_it_goes_on_and_damaged_copies_are_not_believed() {
     let mut first = servo(blob);
     let (_, cold_um) = warm(blob);
     // A machine that has a clock and is known to be cold: resumed from copies of a cold one, an hour old.
-    let mut copies = [[0; COPY_SIZE]; 2];
+    let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
     let cold = servo(blob).node().retained_state();
     trueup_store::retained::save(&mut copies, &cold, Some(NOW_S - 3_600));
     first.resume(&copies, Some(NOW_S));

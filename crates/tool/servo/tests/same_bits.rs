@@ -11,8 +11,8 @@
 use std::{path::Path, time::Duration};
 
 use trueup_core::{
-    bridge::Input,
-    cnc::Conditions,
+    bridge::TickInput,
+    cnc::MachineConditions,
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     thermometer::RawReading,
     units::AdcCode,
@@ -285,7 +285,9 @@ impl<'a> Host<'a> {
             angles_deg: pins.angles_deg,
             spindle_rpm: pins.spindle_rpm,
             load_n: pins.load_n,
-            conditions: u16::try_from(pins.tool).ok().map(|tool| Conditions { tool, bits: 0 }),
+            conditions: u16::try_from(pins.tool)
+                .ok()
+                .map(|tool| MachineConditions { tool, bits: 0 }),
         };
         let (outputs, frames) = self.component.step(Duration::from_millis(self.ms), &inputs);
         for frame in &frames {
@@ -295,7 +297,7 @@ impl<'a> Host<'a> {
         let codes = self.sample(pins.sensor_v);
         let channel = (self.ms % CHANNEL_COUNT as u64) as usize;
         self.temperatures[channel] = delivery(channel, pins.temperature_c[channel]);
-        let input = Input {
+        let input = TickInput {
             codes: codes.then_some(&self.codes),
             speed: None,
             temperatures: Some(&self.temperatures),

@@ -227,7 +227,7 @@ impl Axes {
             if way_mm != 0.0 {
                 state.direction = way_mm.signum();
             }
-            let Some(config) = self.config.axes.get(&AXES[axis]) else { continue };
+            let Some(config) = self.config.axes.get(&ALL_AXES[axis]) else { continue };
             let m_per_min = way_mm.abs() * 0.06 / dt_s;
             let heated_c = ambient_c + config.screw_heating_c * m_per_min;
             relax_exponentially(&mut state.screw_c, heated_c, dt_s, config.screw_lag_s);
@@ -277,7 +277,7 @@ impl Axes {
     pub fn error_um(&self) -> [f64; 3] {
         let mut error_um = [0.0; 3];
         for (axis, error_um) in error_um.iter_mut().enumerate() {
-            if let Some(config) = self.config.axes.get(&AXES[axis]) {
+            if let Some(config) = self.config.axes.get(&ALL_AXES[axis]) {
                 *error_um += self.states[axis].positioning_error_um(config);
             }
         }
@@ -295,7 +295,7 @@ impl Axes {
     }
 }
 
-const AXES: [AxisName; 3] = [AxisName::X, AxisName::Y, AxisName::Z];
+const ALL_AXES: [AxisName; 3] = [AxisName::X, AxisName::Y, AxisName::Z];
 
 impl AxisState {
     /// Returns the error of this axis along itself.

@@ -138,7 +138,7 @@ impl Rod {
     }
 
     /// Puts the cells at other temperatures; `by_position_m` is asked for the middle of each.
-    pub fn set_temperatures(&mut self, by_position_m: impl Fn(f64) -> f64) {
+    pub fn set_temperatures_c(&mut self, by_position_m: impl Fn(f64) -> f64) {
         let cell_m = self.cell_length_m();
         for (cell, temperature_c) in self.temperatures_c.iter_mut().enumerate() {
             *temperature_c = by_position_m((cell as f64 + 0.5) * cell_m);

@@ -19,7 +19,7 @@ use crate::{
     noise::RandomStream,
     scenario::{CoolantConfig, Scenario},
     sensors::{DisplacementSensor, Spot, Thermometer},
-    spindle::{Growth, OperatingConditions, SimulatedSpindle, SpindleTemperatures},
+    spindle::{GrowthComponents, OperatingConditions, SimulatedSpindle, SpindleTemperatures},
     tool::{ToolConfig, growth_um},
 };
 
@@ -186,10 +186,10 @@ impl SimulatedMachine {
         temperature_c * (1.0 - air_share) + ambient_c * air_share
     }
 
-    fn growth(&self) -> Growth {
-        let Some(spindle) = &self.spindle else { return Growth::default() };
+    fn growth(&self) -> GrowthComponents {
+        let Some(spindle) = &self.spindle else { return GrowthComponents::default() };
         let DriveCommand { tool, spindle_rpm, .. } = self.command;
-        Growth { tool_um: growth_um(&self.tools, tool, spindle_rpm), ..spindle.growth() }
+        GrowthComponents { tool_um: growth_um(&self.tools, tool, spindle_rpm), ..spindle.growth() }
     }
 
     /// Lets the sensors that have a memory see the truth.

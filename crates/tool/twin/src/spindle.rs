@@ -209,7 +209,7 @@ pub struct OperatingConditions {
 
 /// How far each part has grown, in µm, positive out of the spindle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Growth {
+pub struct GrowthComponents {
     /// The shaft from the nose to the fixed bearing.
     pub shaft_um: f64,
     /// By centrifugal force; it grows with the square of the speed.
@@ -224,7 +224,7 @@ pub struct Growth {
     pub elastic_um: f64,
 }
 
-impl Growth {
+impl GrowthComponents {
     /// Returns what a sensor in the nose sees.
     #[must_use]
     pub fn growth_at_sensor_um(&self) -> f64 {
@@ -379,14 +379,14 @@ impl SimulatedSpindle {
 
     /// Returns the current growth.
     #[must_use]
-    pub fn growth(&self) -> Growth {
+    pub fn growth(&self) -> GrowthComponents {
         let config = &self.config;
         let expansion = Material::STEEL.expansion_per_k;
         let krpm = self.drive.spindle_rpm / 1000.0;
         let stiffness = config.stiffness_n_per_um;
         let nodes_um =
             |length_m: f64, c: f64| length_m * expansion * (c - config.reference_c) * 1e6;
-        Growth {
+        GrowthComponents {
             shaft_um: self.shaft.thermal_expansion_m(0, self.fixed, config.reference_c) * 1e6,
             centrifugal_um: config.centrifugal_um_per_krpm2 * krpm * krpm,
             housing_um: nodes_um(config.housing_length_m, self.housing_c),

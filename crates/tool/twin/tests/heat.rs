@@ -36,7 +36,7 @@ fn the_first_eigenvalue_of_the_slab_between_held_faces_is_pi_over_its_length() {
     let exact = DIFFUSIVITY * (PI / LENGTH_M).powi(2);
     let mut rod = rod(40, CRANK_NICOLSON);
     (rod.left, rod.right) = (BoundaryCondition::Held(0.0), BoundaryCondition::Held(0.0));
-    rod.set_temperatures(|_| 1.0);
+    rod.set_temperatures_c(|_| 1.0);
     let off = decay(rod, 400.0, 900.0, 1.0) / exact - 1.0;
     println!("held faces, 40 cells: eigenvalue off by {:.4} %", off * 100.0);
     assert!(off.abs() < 1e-3);
@@ -55,7 +55,7 @@ fn the_first_eigenvalue_of_the_slab_under_a_film_solves_biots_equation() {
     let exact = DIFFUSIVITY * (low / LENGTH_M).powi(2);
     let mut rod = rod(40, CRANK_NICOLSON);
     rod.right = BoundaryCondition::Film { h_w_per_m2_k: h, fluid_c: 0.0 };
-    rod.set_temperatures(|_| 1.0);
+    rod.set_temperatures_c(|_| 1.0);
     let off = decay(rod, 4000.0, 9000.0, 5.0) / exact - 1.0;
     println!("film, Bi = 1, 40 cells: eigenvalue off by {:.4} %", off * 100.0);
     assert!(off.abs() < 1e-3);
@@ -100,7 +100,7 @@ fn growth_is_the_integral_of_the_expansion() {
 fn error_after(cells: usize, theta: f64, dt_s: f64, end_s: f64) -> f64 {
     let mut rod = rod(cells, theta);
     (rod.left, rod.right) = (BoundaryCondition::Held(0.0), BoundaryCondition::Held(0.0));
-    rod.set_temperatures(|x| (PI * x / LENGTH_M).sin());
+    rod.set_temperatures_c(|x| (PI * x / LENGTH_M).sin());
     for _ in 0..(end_s / dt_s).round() as usize {
         rod.step(dt_s);
     }
@@ -177,7 +177,7 @@ fn the_energy_that_came_in_is_the_energy_that_is_stored() {
 #[test]
 fn an_insulated_rod_keeps_its_heat_and_becomes_even() {
     let mut rod = rod(16, EULER);
-    rod.set_temperatures(|x| 100.0 * x);
+    rod.set_temperatures_c(|x| 100.0 * x);
     let stored_heat_j = rod.stored_heat_j();
     for _ in 0..1000 {
         rod.step(100.0);

@@ -103,10 +103,13 @@ impl CncEmulator {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, CncMessage, Conditions, Control, LinearAxis, Rotary, TravelDirection},
+        cnc::{
+            AxisPosition, CncMessage, Control, LinearAxis, MachineConditions, RotaryAxisAngles,
+            TravelDirection,
+        },
         units::Position,
     };
-    use trueup_link::receiver::Receiver;
+    use trueup_link::receiver::CncReceiver;
 
     #[test]
     fn the_run_is_received_in_order_until_the_cnc_speaks_for_itself() {
@@ -117,11 +120,11 @@ mod tests {
         };
         let now = MachineSnapshot {
             positions: [Some(there(LinearAxis::X)), None, Some(there(LinearAxis::Z))],
-            rotary: Some(Rotary::default()),
+            rotary: Some(RotaryAxisAngles::default()),
             ..MachineSnapshot::default()
         };
         let (mut stand_in, received, mut receiver) =
-            (CncEmulator::default(), ReceivedFrames::default(), Receiver::new());
+            (CncEmulator::default(), ReceivedFrames::default(), CncReceiver::new());
         let mut ids = |ms| {
             let mut ids = Vec::new();
             for _ in 0..ms {
@@ -144,10 +147,10 @@ mod tests {
 
     #[test]
     fn conditions_are_sent_every_50_ms_until_the_cnc_says_them() {
-        let conditions = Conditions { tool: 7, bits: 5 };
+        let conditions = MachineConditions { tool: 7, bits: 5 };
         let now = MachineSnapshot { conditions: Some(conditions), ..MachineSnapshot::default() };
         let (mut stand_in, received, mut receiver) =
-            (CncEmulator::default(), ReceivedFrames::default(), Receiver::new());
+            (CncEmulator::default(), ReceivedFrames::default(), CncReceiver::new());
         let mut count = |received: &ReceivedFrames| {
             let frames = (0..1_000).flat_map(|_| stand_in.next_frames(&now, received)).flatten();
             let received = frames.map(|frame| receiver.accept(&frame).expect("in order"));
@@ -162,7 +165,7 @@ mod tests {
     fn control_is_sent_every_20_ms_whatever_a_client_sends() {
         let now = MachineSnapshot { control: Some(Control::ENGAGED), ..MachineSnapshot::default() };
         let (mut stand_in, received, mut receiver) =
-            (CncEmulator::default(), ReceivedFrames::default(), Receiver::new());
+            (CncEmulator::default(), ReceivedFrames::default(), CncReceiver::new());
         let mut at_ms = Vec::new();
         for ms in 0..100 {
             received.record_line(b"t30280000000000000000");

@@ -132,7 +132,7 @@ mod tests {
     };
 
     use trueup_core::{
-        cnc::{Flags, Quality},
+        cnc::{OffsetFlags, OffsetQuality},
         units::Nanometres,
     };
     use trueup_machine::MachineFile;
@@ -146,7 +146,7 @@ mod tests {
 
     fn lifted(nm: i32) -> Output {
         let offset = Some([0, 0, nm].map(Nanometres));
-        Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 }
+        Output { offset, quality: OffsetQuality::Live, flags: OffsetFlags::NONE, age_ms: 1 }
     }
 
     #[test]

@@ -127,7 +127,7 @@ impl OperatorControls {
 
     /// Returns whether the service switch of the board is closed; it begins open.
     #[must_use]
-    pub(crate) fn is_switch_closed(&self) -> bool {
+    pub(crate) fn is_service_switch_closed(&self) -> bool {
         self.switch_is_closed.load(Ordering::Relaxed)
     }
 

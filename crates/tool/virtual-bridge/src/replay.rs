@@ -7,7 +7,9 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, LinearAxis, Rotary, TravelDirection},
+    cnc::{
+        AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, TravelDirection,
+    },
     dimensions::CHANNEL_COUNT,
     pt100,
     temperature_channels::RawTemperatures,
@@ -17,7 +19,7 @@ use trueup_core::{
 use trueup_machine::{
     file::{ElongationSource, Machine},
     inputs::{TemperatureInput, TemperatureKind},
-    location::BadInput,
+    location::InputFileError,
     run_file::RunFile,
     tool::TOOL_COLUMN,
 };
@@ -46,9 +48,9 @@ pub struct MachineSnapshot {
     /// Where X, Y and Z are sent, as far as the run says.
     pub positions: [Option<AxisPosition>; 3],
     /// Where the rotary axes of the head are sent, if the run says so.
-    pub rotary: Option<Rotary>,
+    pub rotary: Option<RotaryAxisAngles>,
     /// The tool and the conditions, if the run says one of them.
-    pub conditions: Option<Conditions>,
+    pub conditions: Option<MachineConditions>,
     /// The CNC's control message, where the CNC is not a client of the serial line.
     pub control: Option<Control>,
 }
@@ -72,7 +74,7 @@ impl Replay {
     /// # Errors
     /// A column that is needed is missing, empty at the start, or outside what the sensor or the
     /// wire can carry; with its place.
-    pub fn new(run: &RunFile, machine: &Machine, row_s: f64) -> Result<Self, BadInput> {
+    pub fn new(run: &RunFile, machine: &Machine, row_s: f64) -> Result<Self, InputFileError> {
         let inputs = machine.inputs.as_ref();
         let sensor = inputs.and_then(|inputs| inputs.sensor.as_ref());
         let needs_sensor = machine.spindle.source == Some(ElongationSource::Sensor);
@@ -247,7 +249,7 @@ impl<'r> ReplayColumns<'r> {
     }
 
     /// Applies the changes of a row.
-    fn apply_row(&mut self, row: usize, now: &mut MachineSnapshot) -> Result<(), BadInput> {
+    fn apply_row(&mut self, row: usize, now: &mut MachineSnapshot) -> Result<(), InputFileError> {
         for (column, input) in &self.temperatures {
             if !column[row].is_nan() {
                 set_raw_temperature(&mut now.temperatures, input, column[row]);
@@ -292,7 +294,7 @@ impl<'r> ReplayColumns<'r> {
                 let micro_degrees = deg.unwrap_or(0.0) * f64::from(MicroDegrees::PER_DEGREE);
                 MicroDegrees(round_to_i32(micro_degrees).unwrap_or(0))
             };
-            now.rotary = Some(Rotary { angles: self.angles_deg.map(micro) });
+            now.rotary = Some(RotaryAxisAngles { angles: self.angles_deg.map(micro) });
         }
         self.update_conditions(row, now)
     }
@@ -300,7 +302,11 @@ impl<'r> ReplayColumns<'r> {
 
 impl ReplayColumns<'_> {
     /// Tool and conditions; a missing value is that of the row before.
-    fn update_conditions(&self, row: usize, now: &mut MachineSnapshot) -> Result<(), BadInput> {
+    fn update_conditions(
+        &self,
+        row: usize,
+        now: &mut MachineSnapshot,
+    ) -> Result<(), InputFileError> {
         if self.tool.is_none() && self.conditions.is_empty() {
             return Ok(());
         }

@@ -114,7 +114,7 @@ fn kill_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
 ///
 /// # Errors
 /// QEMU has ended.
-fn is_over(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
+fn poll_stop_request(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
     print_board_log(board);
     board.qemu().check_running()?;
     Ok(stop.load(Ordering::Relaxed))
@@ -152,7 +152,7 @@ fn run_board(
                     Block {
                         codes: front_end.convert_block(|_| now.sensor_volts),
                         speed: now.speed,
-                        service_switch: hand.is_switch_closed(),
+                        service_switch: hand.is_service_switch_closed(),
                         temperatures: now.temperatures,
                         frames: stand_in.next_frames(&now, &received),
                     }
@@ -169,7 +169,7 @@ fn run_board(
         SampleSource::Run { replay, speed } => {
             trueup_output::write_diagnostic("the replay starts when a client opens the channel");
             while !opening.is_complete() {
-                if is_over(board, stop)? {
+                if poll_stop_request(board, stop)? {
                     return Ok(());
                 }
                 thread::sleep(Duration::from_millis(5));
@@ -203,12 +203,12 @@ fn run_board(
             }
         }
         SampleSource::Plant(mut plant) => {
-            while let Some((situation, ms)) = plant.next_step(|| is_over(board, stop))? {
+            while let Some((situation, ms)) = plant.next_step(|| poll_stop_request(board, stop))? {
                 if let Some(output) = live(board, &|_| situation, ms)? {
                     plant.last_answer = PlantResponse::from(&output);
                 }
                 plant.send_response()?;
-                if is_over(board, stop)? {
+                if poll_stop_request(board, stop)? {
                     break;
                 }
             }

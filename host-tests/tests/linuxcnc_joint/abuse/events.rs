@@ -188,7 +188,11 @@ fn moving(rig: &mut Abused) -> Result<()> {
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
     }
-    rig.cnc.send_command("begin_mdi", "text", format!("G53 {code} X{x:.3} Y{y:.3} Z{z:.3}"))?;
+    rig.cnc.send_request_with_argument(
+        "begin_mdi",
+        "text",
+        format!("G53 {code} X{x:.3} Y{y:.3} Z{z:.3}"),
+    )?;
     rig.rest(20, 350);
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
@@ -209,7 +213,7 @@ fn switched(rig: &mut Abused, state: &str) -> Result<()> {
 }
 
 fn switch(rig: &mut Abused, state: &str) -> Result<()> {
-    rig.cnc.send_command("state", "name", state)?;
+    rig.cnc.send_request_with_argument("state", "name", state)?;
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
     }
@@ -236,7 +240,7 @@ fn homing(rig: &mut Abused) -> Result<()> {
     rig.mdi("G53 G0 X-3")?;
     rig.say_any()?;
     rig.rest(0, 100);
-    rig.cnc.send_command("home", "joint", 0).map(drop)
+    rig.cnc.send_request_with_argument("home", "joint", 0).map(drop)
 }
 
 /// Begins to home X, and breaks it off in any of its phases: search, way back, latch at 0.1 mm/s.
@@ -244,7 +248,7 @@ fn homing_broken(rig: &mut Abused) -> Result<()> {
     rig.mdi("G53 G0 X-3")?;
     rig.say_any()?;
     rig.rest(0, 100);
-    rig.cnc.send_command("begin_home", "joint", 0)?;
+    rig.cnc.send_request_with_argument("begin_home", "joint", 0)?;
     rig.rest(10, 900);
     break_off(rig)?;
     rig.on()
@@ -298,7 +302,11 @@ fn probing_broken(rig: &mut Abused) -> Result<()> {
     rig.say_any()?;
     rig.mdi(&format!("G53 G0 Z{:.4}", SURFACE + 2.0))?;
     let feed = rig.draw(10.0, 60.0);
-    rig.cnc.send_command("begin_mdi", "text", format!("G38.2 Z{:.4} F{feed:.1}", SURFACE - 1.0))?;
+    rig.cnc.send_request_with_argument(
+        "begin_mdi",
+        "text",
+        format!("G38.2 Z{:.4} F{feed:.1}", SURFACE - 1.0),
+    )?;
     rig.rest(20, 500);
     break_off(rig)?;
     rig.on()?;
@@ -328,7 +336,7 @@ fn pause(rig: &mut Abused) -> Result<()> {
     rig.cnc.send_request(&json!({ "do": "pause" }))?;
     rig.say_any()?;
     rig.rest(50, 300);
-    rig.cnc.resume()?;
+    rig.cnc.resume_program()?;
     rig.idle()
 }
 

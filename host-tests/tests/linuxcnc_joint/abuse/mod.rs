@@ -23,7 +23,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::setup::{self, LinuxCnc};
+use trueup_emulator::setup::{self, LockedLinuxCnc};
 
 use super::MAX_ACCELERATION;
 
@@ -82,7 +82,7 @@ fn campaign_abuse() -> Result<()> {
 /// Abuses one for at least these numbers of cycles and events.
 fn abuse(
     way: Way,
-    control: LinuxCnc,
+    control: LockedLinuxCnc,
     seed: u64,
     (cycles, events): (u64, usize),
     version: &mut String,
@@ -102,7 +102,7 @@ fn abuse(
         let kind = Kind::draw(&mut rig);
         happened.push(kind);
         let number = happened.len();
-        rig.cnc.send_command("mark", "scenario", number)?;
+        rig.cnc.send_request_with_argument("mark", "scenario", number)?;
         match kind.happen(&mut rig).and_then(|measured| Ok((measured, rig.settle()?))) {
             Ok((measured, off)) => {
                 most.take(&measured);

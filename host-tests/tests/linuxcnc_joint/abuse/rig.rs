@@ -7,8 +7,8 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use trueup_emulator::{
-    linuxcnc::headless::{HeadlessLinuxCnc, Sampler},
-    setup::LinuxCnc,
+    linuxcnc::headless::{HeadlessLinuxCnc, SamplerGuard},
+    setup::LockedLinuxCnc,
 };
 use trueup_machine::{MachineFile, compile};
 
@@ -153,11 +153,11 @@ pub(crate) struct Abused {
     /// By how much each axis was off when all was in order last, in µm.
     pub off_um: [f64; 3],
     cycles: Receiver<Option<Cycle>>,
-    _sampler: Sampler,
+    _sampler: SamplerGuard,
 }
 
 impl Abused {
-    pub(crate) fn start(way: Way, control: LinuxCnc, seed: u64) -> Result<Self> {
+    pub(crate) fn start(way: Way, control: LockedLinuxCnc, seed: u64) -> Result<Self> {
         let (mut cnc, bridge) = match way {
             Way::NoBoard => (no_board::start(control, "joint", 1_000)?, None),
             Way::Joint | Way::Eoffset => {
@@ -245,7 +245,7 @@ impl Abused {
     }
 
     pub(crate) fn mdi(&mut self, text: &str) -> Result<()> {
-        self.cnc.send_command("mdi", "text", text).map(drop)
+        self.cnc.send_request_with_argument("mdi", "text", text).map(drop)
     }
 
     /// Waits until nothing moves and the interpreter has nothing to do.
@@ -362,10 +362,10 @@ impl Abused {
     /// Switches the machine on, and homes X where that was broken off. Y and Z have no switch: homed again, they would
     /// be at 0 wherever they stand.
     pub(crate) fn on(&mut self) -> Result<()> {
-        self.cnc.send_command("state", "name", "reset")?;
-        self.cnc.send_command("state", "name", "on")?;
+        self.cnc.send_request_with_argument("state", "name", "reset")?;
+        self.cnc.send_request_with_argument("state", "name", "on")?;
         if self.cnc.read_pin("joint.0.homed")? == 0.0 {
-            self.cnc.send_command("home", "joint", 0)?;
+            self.cnc.send_request_with_argument("home", "joint", 0)?;
         }
         self.cnc.power_on_and_home()
     }

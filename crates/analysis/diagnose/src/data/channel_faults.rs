@@ -11,7 +11,9 @@ use std::{ops::Range, sync::Arc};
 use trueup_machine::{
     RunFile,
     model::required_columns,
-    thermometer_faults::{MAX_ROW_GAP_S, RUN_FALSE_ALARM_RATE, ThermometerFault, find_faults},
+    thermometer_faults::{
+        MAX_ROW_GAP_S, RUN_FALSE_ALARM_RATE, ThermometerFault, find_thermometer_faults,
+    },
 };
 use trueup_numerics::{parallel::parallel_map, repeats::SIGNIFICANCE_LEVEL};
 
@@ -24,7 +26,7 @@ use super::{
 /// not there.
 pub(crate) const MIN_PAUSE_INTERVALS: f64 = 2.0;
 /// Rows before and after an instant by which it is asked whether a neighbour turned there.
-const SLOPE_WINDOW_ROWS: usize = 10;
+const SLOPE_HALF_WINDOW_ROWS: usize = 10;
 /// Below this many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
 const MIN_PARALLEL_ROWS: usize = 1_000;
 /// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
@@ -57,13 +59,17 @@ impl DataTable {
 /// Excludes where a channel lies, and says so; `runs` are the files of `data`.
 pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
     let needed = required_columns(&data.setting.machine);
-    let follows = follows_previous(data);
-    let near = near_previous(data);
+    let follows = consecutive_row_mask(data);
+    let near = near_previous_row_mask(data);
     let files = file_row_ranges(data);
     let mut lost = vec![false; data.rows];
     let found = parallel_map(data.temperatures(), data.rows > MIN_PARALLEL_ROWS, |(_, values)| {
         let of_file = |rows: &Range<usize>| {
-            find_faults(&values[rows.clone()], &follows[rows.clone()], &near[rows.clone()])
+            find_thermometer_faults(
+                &values[rows.clone()],
+                &follows[rows.clone()],
+                &near[rows.clone()],
+            )
         };
         files.iter().map(of_file).collect::<Vec<_>>()
     });
@@ -170,7 +176,7 @@ fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Ra
 /// Returns the columns that are another one, or what was measured, with its name.
 fn find_duplicate_columns(data: &DataTable) -> Vec<(String, String)> {
     let needed = required_columns(&data.setting.machine);
-    let all: Vec<&NamedColumn> = data.temperatures().iter().chain(data.other_columns()).collect();
+    let all: Vec<&NamedColumn> = data.temperatures().iter().chain(data.unknown_columns()).collect();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (number, (name, values)) in all.iter().enumerate() {
         if needed.contains(name) {
@@ -231,7 +237,7 @@ fn file_row_ranges(data: &DataTable) -> Vec<Range<usize>> {
 }
 
 /// Returns whether a row is the usual time after the one before; without time, whether it is of the same run.
-fn follows_previous(data: &DataTable) -> Vec<bool> {
+fn consecutive_row_mask(data: &DataTable) -> Vec<bool> {
     let apart = |row: usize| data.time_s().map_or(f64::NAN, |time_s| time_s[row] - time_s[row - 1]);
     let mut all: Vec<f64> = (1..data.rows).map(apart).filter(|s| *s > 0.0).collect();
     all.sort_unstable_by(f64::total_cmp);
@@ -249,7 +255,7 @@ fn follows_previous(data: &DataTable) -> Vec<bool> {
 }
 
 /// Returns whether a row is at most [`MAX_ROW_GAP_S`] after the one before; without time, nothing says that it is not.
-fn near_previous(data: &DataTable) -> Vec<bool> {
+fn near_previous_row_mask(data: &DataTable) -> Vec<bool> {
     let apart = |row: usize| data.time_s().map_or(0.0, |time_s| time_s[row] - time_s[row - 1]);
     (0..data.rows)
         .map(|row| {
@@ -277,14 +283,15 @@ fn has_other_channel_change(
 /// Returns whether a column's mean slope changes at `row` by more than in all but a hundredth of the others.
 fn has_slope_change(values: &[f64], row: usize) -> bool {
     let turn = |at: usize| {
-        let [before, now, after] = [at.checked_sub(SLOPE_WINDOW_ROWS)?, at, at + SLOPE_WINDOW_ROWS]
-            .map(|row| values.get(row));
+        let [before, now, after] =
+            [at.checked_sub(SLOPE_HALF_WINDOW_ROWS)?, at, at + SLOPE_HALF_WINDOW_ROWS]
+                .map(|row| values.get(row));
         let turn = (after? - now? - (now? - before?)).abs();
         (!turn.is_nan()).then_some(turn)
     };
     let Some(here) = turn(row) else { return false };
     // What is near it turns with it.
-    let elsewhere = (0..values.len()).filter(|at| at.abs_diff(row) > 2 * SLOPE_WINDOW_ROWS);
+    let elsewhere = (0..values.len()).filter(|at| at.abs_diff(row) > 2 * SLOPE_HALF_WINDOW_ROWS);
     let (more, all) = elsewhere
         .filter_map(turn)
         .fold((0_u32, 0_u32), |(more, all), turn| (more + u32::from(turn >= here), all + 1));

@@ -79,7 +79,7 @@ impl KnownColumn {
     };
 
     /// Returns where it stands in [`Self::ALL`], its name in a run file, and what drawn rows have of it.
-    fn declaration(self) -> (usize, &'static str, AggregationRule) {
+    fn descriptor(self) -> (usize, &'static str, AggregationRule) {
         match self {
             Self::Time => (0, "time_s", AggregationRule::HeldInMeans),
             Self::GaugeTime => (1, "gauge_time_s", AggregationRule::HeldInMeans),
@@ -136,23 +136,23 @@ pub(crate) struct TableColumns {
 
 impl TableColumns {
     /// Returns the known ones, each read by its name in a run file.
-    pub(super) fn read(column: impl Fn(&str) -> Option<Arc<[f64]>>) -> Self {
+    pub(super) fn from_fn(column: impl Fn(&str) -> Option<Arc<[f64]>>) -> Self {
         Self {
-            known: KnownColumn::ALL.map(|known| column(known.declaration().1)),
+            known: KnownColumn::ALL.map(|known| column(known.descriptor().1)),
             lists: Default::default(),
         }
     }
 
     /// Returns a known one by its name in a run file.
     pub(crate) fn by_name(&self, name: &str) -> Option<&[f64]> {
-        let known = KnownColumn::ALL.into_iter().find(|known| known.declaration().1 == name)?;
+        let known = KnownColumn::ALL.into_iter().find(|known| known.descriptor().1 == name)?;
         self[known].as_deref()
     }
 
     /// Returns those of drawn rows, or of means of rows.
-    pub(super) fn select_blocks(&self, blocks: &RowBlocks, rows: usize) -> Self {
+    pub(super) fn aggregate_blocks(&self, blocks: &RowBlocks, rows: usize) -> Self {
         let known = |known: KnownColumn| {
-            let (place, _, drawn) = known.declaration();
+            let (place, _, drawn) = known.descriptor();
             self.known[place].as_deref().map(|values| drawn.aggregate(values, blocks))
         };
         let list = |list: ColumnGroup| {
@@ -168,13 +168,13 @@ impl Index<KnownColumn> for TableColumns {
     type Output = Option<Arc<[f64]>>;
 
     fn index(&self, known: KnownColumn) -> &Self::Output {
-        &self.known[known.declaration().0]
+        &self.known[known.descriptor().0]
     }
 }
 
 impl IndexMut<KnownColumn> for TableColumns {
     fn index_mut(&mut self, known: KnownColumn) -> &mut Self::Output {
-        &mut self.known[known.declaration().0]
+        &mut self.known[known.descriptor().0]
     }
 }
 
@@ -199,13 +199,13 @@ mod tests {
     #[test]
     fn each_column_stands_where_it_is_declared() {
         for (number, known) in KnownColumn::ALL.into_iter().enumerate() {
-            assert_eq!(known.declaration().0, number, "{known:?}");
+            assert_eq!(known.descriptor().0, number, "{known:?}");
         }
         for (number, list) in ColumnGroup::ALL.into_iter().enumerate() {
             assert_eq!(list as usize, number, "{list:?}");
         }
         let columns =
-            TableColumns::read(|name| (name != "run").then(|| [name.len() as f64].into()));
+            TableColumns::from_fn(|name| (name != "run").then(|| [name.len() as f64].into()));
         assert_eq!((columns.by_name("dir_z"), columns.by_name("run")), (Some(&[5.0][..]), None));
     }
 
@@ -214,13 +214,13 @@ mod tests {
         let columns = TableColumns {
             lists: ColumnGroup::ALL
                 .map(|_| vec![(String::new(), [1.0, f64::NAN, 3.0, 5.0].into())]),
-            ..TableColumns::read(|_| Some([1.0, f64::NAN, 3.0, 5.0].into()))
+            ..TableColumns::from_fn(|_| Some([1.0, f64::NAN, 3.0, 5.0].into()))
         };
         let rows = RowBlocks::new(1..4, |_| true);
         let means = RowBlocks::new(1..4, |row| row != 2);
         let text = |values: &[f64]| format!("{values:?}");
         let values_in = |blocks: &RowBlocks| {
-            let of = columns.select_blocks(blocks, 4);
+            let of = columns.aggregate_blocks(blocks, 4);
             let known = [KnownColumn::Time, KnownColumn::Run, KnownColumn::Speed]
                 .map(|column| of[column].clone());
             let mut all = known.map(|column| text(&column.expect("each is there"))).to_vec();

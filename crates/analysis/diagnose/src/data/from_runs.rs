@@ -3,7 +3,7 @@
 use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     applied_offsets::UncompensatedRun,
     effect::{SpeedExponent, relative_heat_input},
     file::{Quantity, is_temperature_column},
@@ -30,7 +30,7 @@ impl DataTable {
         machine: &Machine,
         runs: &[RunFile],
         quantity: Quantity,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         Self::with_offset_factor(machine, runs, quantity, 1.0)
     }
 
@@ -40,13 +40,13 @@ impl DataTable {
         runs: &[RunFile],
         quantity: Quantity,
         factor: f64,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let (runs, notes) = remove_bridge_offsets(machine, runs, quantity, factor)?;
         let rows: usize = runs.iter().map(|run| run.row_count()).sum();
         let concatenate_column = |name: &str| concatenate_column(&runs, rows, name);
         let measured =
             concatenate_column(&format!("measured_{}_um", quantity.name())).unwrap_or_default();
-        let mut columns = TableColumns::read(concatenate_column);
+        let mut columns = TableColumns::from_fn(concatenate_column);
         if columns[KnownColumn::Time].is_none() {
             columns[KnownColumn::GaugeTime] = None;
         }
@@ -185,7 +185,7 @@ fn no_usable_rows_error(
     machine: &Machine,
     runs: &[UncompensatedRun<'_>],
     quantity: Quantity,
-) -> BadInput {
+) -> InputFileError {
     for name in trueup_machine::model::required_columns(machine) {
         for run in runs {
             match run.require_column(&name) {
@@ -208,7 +208,7 @@ fn remove_bridge_offsets<'r>(
     runs: &'r [RunFile],
     quantity: Quantity,
     factor: f64,
-) -> Result<(Vec<UncompensatedRun<'r>>, Vec<String>), BadInput> {
+) -> Result<(Vec<UncompensatedRun<'r>>, Vec<String>), InputFileError> {
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
         let (run, reported) =

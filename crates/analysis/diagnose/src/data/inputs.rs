@@ -24,7 +24,7 @@ pub(super) fn retain_inputs(data: &mut DataTable) {
         let name = &column.0;
         if needed.contains(name) || is_position_column(name) {
             data.columns[ColumnGroup::Others].push(column);
-        } else if is_clock(data, &column.1) {
+        } else if is_clock_column(data, &column.1) {
             data.notes
                 .push(format!("{name} only grows with the rows: it is a clock, and no input"));
         } else if is_linearly_equivalent(&column.1, &data.measured) {
@@ -42,7 +42,7 @@ fn is_position_column(name: &str) -> bool {
 
 /// Returns whether the values never fall within a series, and grow more than once: a switch that was closed once only
 /// grows too.
-fn is_clock(data: &DataTable, values: &[f64]) -> bool {
+fn is_clock_column(data: &DataTable, values: &[f64]) -> bool {
     let changes = || {
         let is_pair = |row: &usize| data.places.series[*row] == data.places.series[row - 1];
         (1..values.len()).filter(is_pair).map(|row| values[row] - values[row - 1])

@@ -61,16 +61,16 @@ pub(super) fn apply_lag(
     let mut even = UniformlySampledLag::new(0.0);
     while row < values.len() {
         if let Some(before) = settled.filter(|_| row > 0 && before_s == time_s[row - 1])
-            && let Some(next) = next_uniform_values(values, time_s, restart, row, last_elapsed)
+            && let Some(next) = next_uniform_block(values, time_s, restart, row, last_elapsed)
         {
             let next = if is_one {
-                even.step_lag(next, first, before)
+                even.filter_block(next, first, before)
             } else {
-                step_asymmetric_lag(next, before, last_shares)
+                filter_block_asymmetric(next, before, last_shares)
             };
             out.extend_from_slice(&next);
-            row += LAG_LANES;
-            (settled, before_s) = (Some(next[LAG_LANES - 1]), time_s[row - 1]);
+            row += LAG_BLOCK_ROWS;
+            (settled, before_s) = (Some(next[LAG_BLOCK_ROWS - 1]), time_s[row - 1]);
             continue;
         }
         if restart[row] {
@@ -104,7 +104,7 @@ pub(super) fn apply_lag(
 
 /// Rows that a lag is stepped through at once where they are equally far apart: one after the other each waits for
 /// the one before.
-const LAG_LANES: usize = 8;
+const LAG_BLOCK_ROWS: usize = 8;
 
 /// A lag through rows that are equally far apart: with the share s of the way in one step and φ = 1 − s
 ///
@@ -116,7 +116,7 @@ const LAG_LANES: usize = 8;
 struct UniformlySampledLag {
     share: f64,
     /// φ, φ²…
-    kept: [f64; LAG_LANES],
+    kept: [f64; LAG_BLOCK_ROWS],
 }
 
 impl UniformlySampledLag {
@@ -130,7 +130,12 @@ impl UniformlySampledLag {
     }
 
     /// Returns the `next` values behind the lag, which is at `before`; `first` is near all of them.
-    fn step_lag(&self, next: &[f64; LAG_LANES], first: f64, before: f64) -> [f64; LAG_LANES] {
+    fn filter_block(
+        &self,
+        next: &[f64; LAG_BLOCK_ROWS],
+        first: f64,
+        before: f64,
+    ) -> [f64; LAG_BLOCK_ROWS] {
         let Self { share, kept } = self;
         let ahead = before - first;
         let mut sum = 0.0;
@@ -143,11 +148,11 @@ impl UniformlySampledLag {
 
 /// Returns the `next` values behind a lag that is at `before`, with a share of the way for its rise and one for its
 /// fall: of both steps the upper one where the rise is the faster one, else the lower one.
-fn step_asymmetric_lag(
-    next: &[f64; LAG_LANES],
+fn filter_block_asymmetric(
+    next: &[f64; LAG_BLOCK_ROWS],
     before: f64,
     [rise, fall]: [f64; 2],
-) -> [f64; LAG_LANES] {
+) -> [f64; LAG_BLOCK_ROWS] {
     let mut here = before;
     let mut step = |value: f64, one: fn(f64, f64) -> f64| {
         let apart = value - here;
@@ -163,20 +168,20 @@ fn step_asymmetric_lag(
 
 /// Returns the next values from `row` on, above 0, if each follows `elapsed` after the one before it and none is
 /// missing.
-fn next_uniform_values<'v>(
+fn next_uniform_block<'v>(
     values: &'v [f64],
     time_s: &[f64],
     restart: &[bool],
     row: usize,
     elapsed: f64,
-) -> Option<&'v [f64; LAG_LANES]> {
-    let next = values.get(row..)?.first_chunk::<LAG_LANES>()?;
-    let now_s = time_s.get(row..)?.first_chunk::<LAG_LANES>()?;
-    let before_s = time_s.get(row - 1..)?.first_chunk::<LAG_LANES>()?;
-    let restart = restart.get(row..)?.first_chunk::<LAG_LANES>()?;
+) -> Option<&'v [f64; LAG_BLOCK_ROWS]> {
+    let next = values.get(row..)?.first_chunk::<LAG_BLOCK_ROWS>()?;
+    let now_s = time_s.get(row..)?.first_chunk::<LAG_BLOCK_ROWS>()?;
+    let before_s = time_s.get(row - 1..)?.first_chunk::<LAG_BLOCK_ROWS>()?;
+    let restart = restart.get(row..)?.first_chunk::<LAG_BLOCK_ROWS>()?;
     let near = 1e-9 * elapsed;
     let mut are_even = true;
-    for n in 0..LAG_LANES {
+    for n in 0..LAG_BLOCK_ROWS {
         are_even &= (now_s[n] - before_s[n] - elapsed).abs() <= near;
     }
     let is_none_missing = !next.iter().sum::<f64>().is_nan();

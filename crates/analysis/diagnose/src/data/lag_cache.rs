@@ -99,7 +99,7 @@ impl LagCache {
 
     /// Returns a column, given by its `values` in all rows, behind a lag from `start` on; `stepped` gives it stepped
     /// through all of them.
-    pub(super) fn lagged(
+    pub(super) fn lagged_column(
         &self,
         blocks: &RowBlocks,
         (column, values, start): (&str, Option<&[f64]>, InitialState),
@@ -116,7 +116,7 @@ impl LagCache {
             let is_late = lags_s != [0.0; 2];
             let by_means = if is_late { self.segment_means(column, lags_s) } else { None };
             let by_means =
-                by_means.map(|(segments, mean_c)| segments.lagged(mean_c, lags_s, start));
+                by_means.map(|(segments, mean_c)| segments.lagged_column(mean_c, lags_s, start));
             by_means.unwrap_or_else(|| blocks.means(&stepped()))
         })
     }
@@ -133,30 +133,31 @@ impl LagCache {
         stepped: impl FnOnce() -> Arc<Vec<f64>>,
     ) -> Arc<Vec<f64>> {
         self.memoise(blocks, (column.into(), Some(late), lags_s), || {
-            let is_resolved = |(segments, _): &(&LagSegments, _)| segments.min_lag_s() <= late.by_s;
+            let is_resolved =
+                |(segments, _): &(&LagSegments, _)| segments.min_resolved_lag_s() <= late.by_s;
             let by_means = self.segment_means(column, lags_s).filter(is_resolved);
             let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
             let mut part_c = stretches.part_temperature_c(late, mean_c);
             if lags_s[0] != lags_s[1] {
-                return stretches.lagged(&part_c, lags_s, InitialState::Settled);
+                return stretches.lagged_column(&part_c, lags_s, InitialState::Settled);
             }
             // The means give by how much the part is warmer; each row gives what a thermometer shows.
             part_c.iter_mut().zip(mean_c).for_each(|(part_c, mean_c)| *part_c -= mean_c);
-            let ahead_c = stretches.lagged(&part_c, lags_s, InitialState::Settled);
+            let ahead_c = stretches.lagged_column(&part_c, lags_s, InitialState::Settled);
             lagged().iter().zip(ahead_c).map(|(shown_c, ahead_c)| shown_c + ahead_c).collect()
         })
     }
 
     /// Returns the fastest lag that is reported of this many rows, in s; 0 where all are.
-    pub(super) fn min_lag_s(&self) -> f64 {
-        self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.min_lag_s())
+    pub(super) fn min_resolved_lag_s(&self) -> f64 {
+        self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.min_resolved_lag_s())
     }
 
     /// Returns the stretches, and the means of `column` over them, if they resolve these lags, or both lags are 0.
     fn segment_means(&self, column: &str, lags_s: [f64; 2]) -> Option<(&LagSegments, &[f64])> {
         let (stretches, means) = self.stretches.as_ref()?;
         let (_, mean_c) = means.iter().find(|(name, _)| name == column)?;
-        let is_resolved = |lag_s: f64| stretches.min_lag_s() <= lag_s;
+        let is_resolved = |lag_s: f64| stretches.min_resolved_lag_s() <= lag_s;
         let are_resolved = lags_s == [0.0; 2] || lags_s.into_iter().all(is_resolved);
         are_resolved.then_some((stretches, mean_c))
     }
@@ -203,7 +204,7 @@ mod tests {
         let blocks = RowBlocks::new((60_000..110_000).filter(|row| row % 41 == 3), |_| true);
         let rows = LagRows { time_s: Some(&time_s), restart: &restart, blocks: &blocks };
         let lags = LagCache::new(rows, &[("t".into(), values.clone().into())]);
-        let fastest_s = lags.min_lag_s();
+        let fastest_s = lags.min_resolved_lag_s();
         assert!((1.0..2.0).contains(&fastest_s), "{fastest_s} s");
         let stepped = Cell::new(0);
         let count = |all: Vec<f64>| {
@@ -231,7 +232,7 @@ mod tests {
             };
             stepped.set(0);
             let found = match late {
-                None => lags.lagged(
+                None => lags.lagged_column(
                     &blocks,
                     ("t", Some(&values), InitialState::Settled),
                     lags_s,

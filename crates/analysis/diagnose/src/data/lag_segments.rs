@@ -116,7 +116,7 @@ impl LagSegments {
     }
 
     /// Returns the fastest lag that they resolve, in s.
-    pub(super) fn min_lag_s(&self) -> f64 {
+    pub(super) fn min_resolved_lag_s(&self) -> f64 {
         self.longest_s / MAX_SEGMENT_TIME_CONSTANTS
     }
 
@@ -134,7 +134,12 @@ impl LagSegments {
     }
 
     /// Returns the rows that are asked for of a column, given by its means, behind a lag.
-    pub(super) fn lagged(&self, means: &[f64], lags_s: [f64; 2], start: InitialState) -> Vec<f64> {
+    pub(super) fn lagged_column(
+        &self,
+        means: &[f64],
+        lags_s: [f64; 2],
+        start: InitialState,
+    ) -> Vec<f64> {
         if lags_s == [0.0; 2] {
             return self.of_means.weighted_sums(means);
         }
@@ -274,7 +279,7 @@ mod tests {
         for blocks in [single, of_means] {
             let it = LagSegments::new(&time_s, &restart, &blocks).expect("many rows");
             let means = it.means(&values, &time_s, &restart).expect("no gap");
-            let fastest_s = it.min_lag_s();
+            let fastest_s = it.min_resolved_lag_s();
             // At 0.035 K/s half of a stretch is 2 mK, which a series begins with. What trembles up and down, and is
             // followed faster one way, is a level of its own.
             for (lags_s, most_c) in [
@@ -291,7 +296,7 @@ mod tests {
                     lags_s,
                     InitialState::Settled,
                 ));
-                let lagged = it.lagged(&means, lags_s, InitialState::Settled);
+                let lagged = it.lagged_column(&means, lags_s, InitialState::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 let has_begun = |row: usize| {
                     let start = if row < ROWS / 2 { 0 } else { ROWS / 2 };
@@ -320,7 +325,7 @@ mod tests {
             ThermometerDelay { by_s: 60.0, form: DelayKind::Lag { slope_over: 0.5 } },
             ThermometerDelay { by_s: 60.0, form: DelayKind::Delay },
         ] {
-            assert!(it.min_lag_s() <= late.by_s);
+            assert!(it.min_resolved_lag_s() <= late.by_s);
             let mut part_c = part_temperature(late, &time_s[..half], &smooth[..half]);
             part_c.extend(part_temperature(late, &time_s[half..], &smooth[half..]));
             let of_means = it.part_temperature_c(late, &means);
@@ -332,7 +337,7 @@ mod tests {
                     lags_s,
                     InitialState::Settled,
                 ));
-                let lagged = it.lagged(&of_means, lags_s, InitialState::Settled);
+                let lagged = it.lagged_column(&of_means, lags_s, InitialState::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 // At an end and a pause a slope is over less; a row is not as far from the one before it as the
                 // rows around it are. This record begins in motion: its first row counts as settled, the first

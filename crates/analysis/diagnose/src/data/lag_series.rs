@@ -16,12 +16,12 @@ use std::sync::Arc;
 use super::{lag::InitialState, row_blocks::RowBlocks};
 
 /// Coefficients of a series.
-const SERIES_TERMS: usize = 8;
+const SERIES_TERM_COUNT: usize = 8;
 /// The longest piece whose series is believed, in time constants: the first omitted term is
 /// 0.12⁸/8! = 10⁻¹² there.
 const MAX_PIECE_TIME_CONSTANTS: f64 = 0.12;
 
-type PowerSeries = [f64; SERIES_TERMS];
+type PowerSeries = [f64; SERIES_TERM_COUNT];
 
 /// Returns the value of a series at ε, whose powers are given.
 fn evaluate_series(series: &PowerSeries, powers: &PowerSeries) -> f64 {
@@ -35,8 +35,8 @@ fn successive_powers(epsilon: f64) -> PowerSeries {
 
 /// δⁿ/n!
 fn exponential_series(delta: f64) -> PowerSeries {
-    let mut series = [1.0; SERIES_TERMS];
-    for n in 1..SERIES_TERMS {
+    let mut series = [1.0; SERIES_TERM_COUNT];
+    for n in 1..SERIES_TERM_COUNT {
         series[n] = series[n - 1] * delta / n as f64;
     }
     series
@@ -80,7 +80,7 @@ impl TimeGrid {
         let mut pieces = Vec::with_capacity(blocks.len());
         for rows in blocks.rows_by_block() {
             let last = rows[rows.len() - 1] as usize;
-            let (mut span_s, mut mean) = (0.0, [0.0; SERIES_TERMS]);
+            let (mut span_s, mut mean) = (0.0, [0.0; SERIES_TERM_COUNT]);
             let mut used = rows.iter().peekable();
             for (row, elapsed_s) in (first..).zip(&elapsed_s[first..=last]) {
                 if row > first {
@@ -119,11 +119,11 @@ impl LagSeries {
             return None;
         }
         let of = |(piece, rows): (&Piece, &[u32])| {
-            let (mut here, mut mean) = ([0.0; SERIES_TERMS], [0.0; SERIES_TERMS]);
+            let (mut here, mut mean) = ([0.0; SERIES_TERM_COUNT], [0.0; SERIES_TERM_COUNT]);
             let mut used = rows.iter().peekable();
             for (row, &value) in (piece.first..).zip(&values[piece.first..=piece.last]) {
                 if row > piece.first {
-                    step_series(&mut here, value, &exponential_series(clock.elapsed_s[row]));
+                    step_lag_series(&mut here, value, &exponential_series(clock.elapsed_s[row]));
                 }
                 if used.next_if(|used| **used as usize == row).is_some() {
                     add_series(&mut mean, &here);
@@ -186,8 +186,8 @@ impl LagSeries {
 }
 
 /// One step of a lag, as a series.
-fn step_series(here: &mut PowerSeries, value: f64, decay: &PowerSeries) {
-    for n in (1..SERIES_TERMS).rev() {
+fn step_lag_series(here: &mut PowerSeries, value: f64, decay: &PowerSeries) {
+    for n in (1..SERIES_TERM_COUNT).rev() {
         let kept: f64 = (0..=n).map(|m| here[m] * decay[n - m]).sum();
         here[n] = kept - value * decay[n];
     }

@@ -84,7 +84,7 @@ fn simulate_machine(
             columns.map(|name| (name.as_str(), f64::NAN)).collect();
         let is_read = |name: &str| needed.iter().any(|needed| needed == name);
         let read: Vec<&NamedColumn> =
-            data.other_columns().iter().filter(|(name, _)| is_read(name)).collect();
+            data.unknown_columns().iter().filter(|(name, _)| is_read(name)).collect();
         let mut others: Vec<(&str, f64)> =
             read.iter().map(|(name, _)| (name.as_str(), f64::NAN)).collect();
         for own in 0..run.row_count() {
@@ -108,7 +108,7 @@ fn simulate_machine(
                 others: &others,
                 position_mm: data.positions_mm().map(|axis| at(axis, row)),
                 angle_deg: angles[number].map(of),
-                direction: LinearAxis::ALL.map(|axis| at(data.direction(axis), row)),
+                direction: LinearAxis::ALL.map(|axis| at(data.approach_direction(axis), row)),
                 tool_length_mm: lengths[number].map(|lengths| lengths[own]),
             });
             let (along, rest, thermal) = match axis {

@@ -1,12 +1,12 @@
 //! Which error the runs are compared in.
 
-use trueup_machine::{BadInput, RunFile, file::Quantity};
+use trueup_machine::{InputFileError, RunFile, file::Quantity};
 
 /// Returns the quantity that is requested, or the only one that the runs measure.
 pub(crate) fn resolve_quantity(
     runs: &[RunFile],
     asked: Option<Quantity>,
-) -> Result<Quantity, BadInput> {
+) -> Result<Quantity, InputFileError> {
     let measured = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {
         for run in runs {
@@ -31,7 +31,7 @@ pub(crate) fn resolve_quantity(
             let header = trueup_machine::Location { line: 1, column: 1, ..places };
             let rule = "a column measured_elongation_um, measured_dx_um, measured_dy_um or \
                         measured_dz_um is missing: there is nothing to compare the model with";
-            Err(BadInput::new(header, rule))
+            Err(InputFileError::new(header, rule))
         }
         _ => {
             let names: Vec<&str> = there.iter().map(|quantity| quantity.name()).collect();
@@ -41,7 +41,7 @@ pub(crate) fn resolve_quantity(
                 "several quantities are measured: choose one by --quantity {}",
                 names.join(" or --quantity ")
             );
-            Err(BadInput::new(header, rule))
+            Err(InputFileError::new(header, rule))
         }
     }
 }

@@ -6,7 +6,8 @@ use super::{columns::NamedColumn, table::DataTable};
 /// Δd the change of the direction. Nothing where the axis never turns.
 pub(super) fn reversal_decay_columns(data: &DataTable) -> Vec<NamedColumn> {
     const DECAY_LENGTH_COUNT: i32 = 6;
-    let (Some(own), Some(direction)) = (data.own_position(), data.own_direction()) else {
+    let (Some(own), Some(direction)) = (data.own_position_mm(), data.own_approach_direction())
+    else {
         return Vec::new();
     };
     let is_next = |row: usize| row > 0 && data.places.series[row] == data.places.series[row - 1];

@@ -8,7 +8,7 @@ use super::{row_blocks::RowBlocks, table::DataTable};
 /// does not depend on how often a slow thing was written down. Linear laws stay exact: means of
 /// what was measured are compared with means of what is predicted.
 #[derive(Clone, Debug)]
-pub(crate) struct Groups {
+pub(crate) struct RowGroups {
     pub(super) rows: RowBlocks,
     count: Vec<f64>,
     /// Rows in a full group.
@@ -19,7 +19,7 @@ pub(crate) struct Groups {
     pub first_row: Vec<usize>,
 }
 
-impl Groups {
+impl RowGroups {
     /// Groups of `size` rows.
     pub(crate) fn new(data: &DataTable, used: &[bool], size: usize) -> Self {
         let mut open: Option<(u32, usize)> = None;
@@ -50,7 +50,7 @@ impl Groups {
     }
 
     /// Returns the same groups of a table whose rows `rows` puts together.
-    pub(super) fn with_rows(&self, rows: RowBlocks) -> Self {
+    pub(super) fn with_row_blocks(&self, rows: RowBlocks) -> Self {
         Self { first_row: rows.first_rows(), rows, ..self.clone() }
     }
 

@@ -7,7 +7,7 @@ use super::{
     lag::forward_fill,
     lag_column_cache::LagColumnCache,
     row_blocks::RowBlocks,
-    row_groups::Groups,
+    row_groups::RowGroups,
     table::{DataTable, ParentTable, RowLocations, RowPredictions},
 };
 
@@ -17,7 +17,7 @@ const PIECES_PER_GROUP: usize = 16;
 
 impl RowPredictions {
     /// Returns the means over the rows of each block.
-    pub(super) fn select_blocks(&self, blocks: &RowBlocks) -> Self {
+    pub(super) fn aggregate_blocks(&self, blocks: &RowBlocks) -> Self {
         let Self { elongation, law, along, axis, thermal } = self;
         let [elongation, law, along, axis, thermal] =
             [elongation, law, along, axis, thermal].map(|values| blocks.means(values).into());
@@ -28,22 +28,22 @@ impl RowPredictions {
 impl DataTable {
     /// Returns the rows of `mask` alone; what has a memory is still stepped through all of them.
     pub(crate) fn subset(self: &Arc<Self>, mask: &[bool]) -> Self {
-        self.select_blocks(RowBlocks::new((0..self.rows).filter(|&row| mask[row]), |_| true))
+        self.aggregate_blocks(RowBlocks::new((0..self.rows).filter(|&row| mask[row]), |_| true))
     }
 
     /// Means of neighbouring rows of each of `groups`, and the groups that these make; none where a
     /// group has not twice as many rows. Laws with a memory are still stepped through all rows: what is linear in the
     /// columns stays exact.
-    pub(crate) fn block_means(self: &Arc<Self>, groups: &Groups) -> Option<(Self, Groups)> {
+    pub(crate) fn block_means(self: &Arc<Self>, groups: &RowGroups) -> Option<(Self, RowGroups)> {
         (groups.size > 2 * PIECES_PER_GROUP).then(|| {
             let (pieces, whole) = groups.rows.split_blocks(PIECES_PER_GROUP);
-            let condensed = self.select_blocks(pieces);
-            (condensed, groups.with_rows(whole))
+            let condensed = self.aggregate_blocks(pieces);
+            (condensed, groups.with_row_blocks(whole))
         })
     }
 
     /// Returns a row for each of `blocks`.
-    fn select_blocks(self: &Arc<Self>, blocks: RowBlocks) -> Self {
+    fn aggregate_blocks(self: &Arc<Self>, blocks: RowBlocks) -> Self {
         let rows = blocks.first_rows();
         let series: Vec<u32> = rows.iter().map(|&row| self.places.series[row]).collect();
         Self {
@@ -54,9 +54,9 @@ impl DataTable {
                 restart: (0..rows.len()).map(|n| n == 0 || series[n] != series[n - 1]).collect(),
                 series: series.into(),
             },
-            columns: self.columns.select_blocks(&blocks, self.rows),
+            columns: self.columns.aggregate_blocks(&blocks, self.rows),
             measured: blocks.means(&self.measured).into(),
-            predicted: self.predicted.select_blocks(&blocks),
+            predicted: self.predicted.aggregate_blocks(&blocks),
             used: rows.iter().map(|&row| self.used[row]).collect(),
             origin: self.origin.clone(),
             notes: Vec::new(),
@@ -71,7 +71,7 @@ impl DataTable {
     pub(crate) fn select_same_rows(&self, whole: Self) -> Self {
         let Some(before) = &self.whole else { return whole };
         let is_changed = |(name, values): &&NamedColumn| {
-            before.data.temperature(name).is_none_or(|there| !std::ptr::eq(there, &values[..]))
+            before.data.temperature_c(name).is_none_or(|there| !std::ptr::eq(there, &values[..]))
         };
         let changed: Vec<NamedColumn> =
             whole.temperatures().iter().filter(is_changed).cloned().collect();

@@ -10,7 +10,7 @@ const MIN_PASS_POSITIONS: usize = 3;
 
 /// Returns true where the own axis goes one way through the whole record, and never comes back to a place.
 pub(super) fn is_single_pass(data: &DataTable) -> bool {
-    let Some(position) = data.own_position() else { return false };
+    let Some(position) = data.own_position_mm() else { return false };
     if data.places.series.last().is_some_and(|last| *last > 0) {
         return false;
     }
@@ -27,7 +27,7 @@ pub(super) fn is_single_pass(data: &DataTable) -> bool {
 /// noise that is as slow as the pass would be taken for the error.
 pub(super) fn exclude_clock(data: &mut DataTable) {
     let varies = |values: &[f64]| peak_to_peak(values) > 0.0;
-    let columns = data.temperatures().iter().chain(data.other_columns());
+    let columns = data.temperatures().iter().chain(data.unknown_columns());
     let has_inputs = columns.map(|(_, values)| values).any(|values| varies(values))
         || [data.spindle_rpm(), data.load_n()].into_iter().flatten().any(varies)
         || data.setting.stated.iter().any(|stated| Effect::depends_on_time(&stated.effect));

@@ -116,22 +116,24 @@ impl ParentTable {
         let columns =
             [&data.columns[ColumnGroup::Temperatures][..], &data.columns[ColumnGroup::Heating]]
                 .concat();
-        let lags = LagCache::new(data.rows_in_blocks(&blocks), &columns);
+        let lags = LagCache::new(data.lag_rows(&blocks), &columns);
         Self { data, blocks, lags }
     }
 
     /// Returns the same rows of `data`: another table than before in the temperatures of `with_changed_columns`.
     pub(super) fn with_data(&self, data: Arc<DataTable>, changed: &[NamedColumn]) -> Self {
-        let lags = self.lags.with_changed_columns(data.rows_in_blocks(&self.blocks), changed);
+        let lags = self.lags.with_changed_columns(data.lag_rows(&self.blocks), changed);
         Self { data, blocks: self.blocks.clone(), lags }
     }
 
     /// Returns a column of the whole behind a lag, in the drawn rows.
-    fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
+    fn lagged_column(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
         let (values, start) = self.data.heat_source(column).unzip();
         let values =
             (column, values.map(|values| &values[..]), start.unwrap_or(InitialState::Settled));
-        self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
+        self.lags.lagged_column(&self.blocks, values, lags_s, || {
+            self.data.lagged_column(column, rise_s, fall_s)
+        })
     }
 
     /// Returns the same for the temperature of the part whose thermometer is late.
@@ -141,14 +143,14 @@ impl ParentTable {
         late: ThermometerDelay,
         lags_s: [f64; 2],
     ) -> Arc<Vec<f64>> {
-        let lagged = || self.lagged(column, lags_s);
+        let lagged = || self.lagged_column(column, lags_s);
         let stepped = || self.data.lagged_part_temperature(column, Some(late), lags_s);
         self.lags.lagged_part_temperature(&self.blocks, column, late, lags_s, lagged, stepped)
     }
 
     /// Returns what the machine file says of `whole`, in the drawn rows.
     pub(super) fn select_predictions(&self, whole: &DataTable) -> RowPredictions {
-        whole.predicted.select_blocks(&self.blocks)
+        whole.predicted.aggregate_blocks(&self.blocks)
     }
 
     /// Returns which of its rows each row is, or begins with.
@@ -209,7 +211,7 @@ impl DataTable {
     }
 
     /// Returns from which side an axis came to its position: −1 or 1.
-    pub(crate) fn direction(&self, axis: LinearAxis) -> Option<&[f64]> {
+    pub(crate) fn approach_direction(&self, axis: LinearAxis) -> Option<&[f64]> {
         self.columns[KnownColumn::Direction(axis)].as_deref()
     }
 
@@ -219,22 +221,22 @@ impl DataTable {
     }
 
     /// Returns the columns that this project does not know.
-    pub(crate) fn other_columns(&self) -> &[NamedColumn] {
+    pub(crate) fn unknown_columns(&self) -> &[NamedColumn] {
         &self.columns[ColumnGroup::Others]
     }
 
     /// Returns the position of the quantity's own axis.
-    pub(crate) fn own_position(&self) -> Option<&[f64]> {
+    pub(crate) fn own_position_mm(&self) -> Option<&[f64]> {
         self.position_mm(self.setting.quantity.axis()?)
     }
 
     /// Returns the direction of the quantity's own axis.
-    pub(crate) fn own_direction(&self) -> Option<&[f64]> {
-        self.direction(self.setting.quantity.axis()?)
+    pub(crate) fn own_approach_direction(&self) -> Option<&[f64]> {
+        self.approach_direction(self.setting.quantity.axis()?)
     }
 
     /// Returns a column of temperatures, in °C.
-    pub(crate) fn temperature(&self, name: &str) -> Option<&[f64]> {
+    pub(crate) fn temperature_c(&self, name: &str) -> Option<&[f64]> {
         let found = self.temperatures().iter().find(|(there, _)| there == name);
         found.map(|(_, values)| &values[..])
     }
@@ -246,18 +248,18 @@ impl DataTable {
     }
 
     /// Counts from where `training` does.
-    pub(crate) fn set_origin(&mut self, training: &Self) {
+    pub(crate) fn copy_origin_from(&mut self, training: &Self) {
         self.origin.clone_from(&training.origin);
     }
 
     /// Returns the table that these rows were drawn from, where others are missing between them.
-    pub(crate) fn sampled_from(&self) -> Option<&ParentTable> {
+    pub(crate) fn sampling_parent(&self) -> Option<&ParentTable> {
         self.whole.as_ref().filter(|whole| !whole.blocks.has_multirow_blocks())
     }
 
     /// Returns the table that these rows were drawn from, or this one: no row is missing between its rows.
     pub(crate) fn full_table(&self) -> &Self {
-        self.sampled_from().map_or(self, |drawn| &drawn.data)
+        self.sampling_parent().map_or(self, |drawn| &drawn.data)
     }
 
     /// Returns the rows that were written down for these: where they are means, there were more.
@@ -267,13 +269,13 @@ impl DataTable {
     }
 
     /// Its rows, of which those in `blocks` are requested.
-    fn rows_in_blocks<'t>(&'t self, blocks: &'t RowBlocks) -> LagRows<'t> {
+    fn lag_rows<'t>(&'t self, blocks: &'t RowBlocks) -> LagRows<'t> {
         LagRows { time_s: self.time_s(), restart: &self.places.restart, blocks }
     }
 
     /// Returns the fastest lag that is looked for in this many rows, in s; 0 where any is.
-    pub(crate) fn min_lag_s(&self) -> f64 {
-        self.whole.as_ref().map_or(0.0, |whole| whole.lags.min_lag_s())
+    pub(crate) fn min_resolved_lag_s(&self) -> f64 {
+        self.whole.as_ref().map_or(0.0, |whole| whole.lags.min_resolved_lag_s())
     }
 
     /// Returns a temperature, or a power of the speed that heats, and where a lag of it starts.
@@ -289,20 +291,20 @@ impl DataTable {
     }
 
     /// Returns what the spindle heats by this power of its speed, behind a first-order lag that starts cold.
-    pub(crate) fn spindle_heat(&self, power: SpeedExponent, lag_s: f64) -> Arc<Vec<f64>> {
-        self.lagged(heating_column_name(power), lag_s, lag_s)
+    pub(crate) fn lagged_spindle_heat(&self, power: SpeedExponent, lag_s: f64) -> Arc<Vec<f64>> {
+        self.lagged_column(heating_column_name(power), lag_s, lag_s)
     }
 
     /// Returns a temperature behind a first-order lag with one time constant while it rises and one while it
     /// falls, both in s; missing values hold.
-    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Arc<Vec<f64>> {
+    pub(crate) fn lagged_column(&self, column: &str, rise_s: f64, fall_s: f64) -> Arc<Vec<f64>> {
         if let Some(whole) = &self.whole {
-            return whole.lagged(column, [rise_s, fall_s]);
+            return whole.lagged_column(column, [rise_s, fall_s]);
         }
         match (self.heat_source(column), self.lag_source(column)) {
             (None, _) => vec![0.0; self.rows].into(),
             (Some((values, _)), None) => forward_fill(values).into(),
-            (Some(_), Some(source)) => self.step_through_rows(&source, None, [rise_s, fall_s]),
+            (Some(_), Some(source)) => self.step_lag_through_rows(&source, None, [rise_s, fall_s]),
         }
     }
 
@@ -319,7 +321,7 @@ impl DataTable {
     }
 
     /// Returns a temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
-    fn step_through_rows(
+    fn step_lag_through_rows(
         &self,
         source: &LagSource,
         late: Option<ThermometerDelay>,
@@ -356,7 +358,7 @@ impl DataTable {
     }
 
     /// A temperature behind a lag.
-    pub(crate) fn delay_temperature(&mut self, column: &str, late_s: f64) {
+    pub(crate) fn apply_temperature_lag(&mut self, column: &str, late_s: f64) {
         let behind = [late_s; 2];
         self.transform_temperature(column, |values, time_s, restart| {
             apply_lag(values, time_s, restart, behind, InitialState::Settled)
@@ -385,11 +387,11 @@ impl DataTable {
         [rise_s, fall_s]: [f64; 2],
     ) -> Arc<Vec<f64>> {
         let (Some(late), Some(source)) = (late, self.lag_source(column)) else {
-            return self.lagged(column, rise_s, fall_s);
+            return self.lagged_column(column, rise_s, fall_s);
         };
         match &self.whole {
             Some(whole) => whole.lagged_part_temperature(column, late, [rise_s, fall_s]),
-            None => self.step_through_rows(&source, Some(late), [rise_s, fall_s]),
+            None => self.step_lag_through_rows(&source, Some(late), [rise_s, fall_s]),
         }
     }
 }

@@ -17,7 +17,7 @@ pub(super) fn describe_alias_test(
     let own = part.values[0];
     match part.kind.nonlinear_parameters().first()? {
         NonlinearParameter::Period => {
-            let [low, high] = min_max(problem.data.own_position()?.iter().copied());
+            let [low, high] = min_max(problem.data.own_position_mm()?.iter().copied());
             Some(describe_separating_positions(own, others, [low, high]))
         }
         NonlinearParameter::TimeConstant => Some(describe_separating_times(own, others)),

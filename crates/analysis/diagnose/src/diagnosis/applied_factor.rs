@@ -16,7 +16,7 @@ use std::borrow::Cow;
 
 use serde_json::{Map, json};
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     applied_offsets::{
         self, FactorEstimate, OffsetApplication, UncompensatedRun, repeat_run_instruction,
     },
@@ -32,18 +32,18 @@ use crate::{
         verdict::VerdictReason,
     },
     fit::{FitProblem, FittedModel, fit},
-    gain::Gain,
-    judgement::{Judgement, MAX_IMITATION_ERROR},
+    gain::TermGain,
+    judgement::{Judgement, MAX_RELATIVE_IMITATION_ERROR},
     model::Model,
     search::{
         SearchOutcome,
-        criterion::{STRONG_EVIDENCE_BIC, bic_gap},
+        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic_gap},
         extension::without_term,
     },
 };
 
 /// The name of the cause.
-const CAUSE_NAME: &str = "applied-factor";
+const APPLIED_FACTOR_CAUSE: &str = "applied-factor";
 
 /// The offsets of a bridge in the runs, and how they were applied.
 pub(crate) struct BridgeOffsets {
@@ -71,7 +71,7 @@ impl BridgeOffsets {
         [runs, holdout]: [&[RunFile]; 2],
         quantity: Quantity,
         is_once: bool,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let unaided = |run| {
             Ok(UncompensatedRun::from_run(Cow::Borrowed(run), Some(machine), Some(quantity))?.0)
         };
@@ -93,7 +93,7 @@ impl BridgeOffsets {
     /// Returns the factor by which the offsets are taken out of what was measured.
     pub(crate) fn factor(&self) -> f64 {
         match self.applied {
-            OffsetApplication::Otherwise(factor) => factor.most_likely_factor(),
+            OffsetApplication::Otherwise(factor) => factor.fault_factor_or_estimate(),
             _ => 1.0,
         }
     }
@@ -126,9 +126,9 @@ impl BridgeOffsets {
             let price = (problem.groups.len() as f64).ln();
             let gap = bic_gap(problem, &found.fitted, &fitted) + price;
             let without = fit(problem, model, None).sum - found.fitted.sum;
-            let imitates =
-                fitted.sum - found.fitted.sum < MAX_IMITATION_ERROR * MAX_IMITATION_ERROR * without;
-            (gap < STRONG_EVIDENCE_BIC || imitates).then_some(gap)
+            let imitates = fitted.sum - found.fitted.sum
+                < MAX_RELATIVE_IMITATION_ERROR * MAX_RELATIVE_IMITATION_ERROR * without;
+            (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || imitates).then_some(gap)
         };
         let model = &found.fitted.model;
         let one = |(index, judgement): (usize, &Judgement)| {
@@ -203,7 +203,7 @@ impl FactorCaveat {
             finding.rivals.insert(
                 0,
                 AlternativeCause {
-                    cause: CAUSE_NAME.into(),
+                    cause: APPLIED_FACTOR_CAUSE.into(),
                     column: None,
                     form: None,
                     score_gap: *gap,
@@ -270,7 +270,7 @@ fn build_factor_finding(
         let um = data.measured[row] - after[row];
         if um.is_finite() {
             left.push(um);
-            once.push(um + (factor.most_likely_factor() - 1.0) * offset_um[row]);
+            once.push(um + (factor.fault_factor_or_estimate() - 1.0) * offset_um[row]);
         }
     }
     let [before_um, after_um] = [once, left].map(|um| rms(&remove_zero_offset(data, um)));
@@ -285,7 +285,7 @@ fn build_factor_finding(
     evidence.extend(places.iter().cloned());
     let reduction = if before_um > 0.0 { 1.0 - after_um / before_um } else { 0.0 };
     Finding {
-        cause: CAUSE_NAME.into(),
+        cause: APPLIED_FACTOR_CAUSE.into(),
         column: None,
         form: None,
         times: None,
@@ -295,7 +295,7 @@ fn build_factor_finding(
         compensated: false,
         confidence: 0.999,
         parameters,
-        gain: Gain {
+        gain: TermGain {
             rms_before_um: before_um,
             rms_after_um: after_um,
             left_out_before_um: before_um,

@@ -44,7 +44,7 @@ fn predict_on_board(data: &DataTable, runs: &[RunFile], machine: &Machine) -> Op
         let first = predicted.len();
         // Of a thermometer that measured nothing the board uses nothing either.
         let run = run.with_altered_values(run.row_count(), |name, values| {
-            if let Some(trusted) = data.temperature(name) {
+            if let Some(trusted) = data.temperature_c(name) {
                 values.copy_from_slice(&trusted[first..first + values.len()]);
             }
         });

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, RunFile};
+use trueup_machine::{InputFileError, RunFile};
 
 use super::{
     applied_factor::FactorCaveat,
@@ -30,7 +30,7 @@ use crate::{
 };
 
 /// Terms that only explain fall short where they leave more than this times the residual of held-out parts.
-const MAX_RESIDUAL_RATIO: f64 = 1.5;
+const MAX_HOLD_OUT_RESIDUAL_RATIO: f64 = 1.5;
 
 /// The result of the search, with what it was made from.
 pub(super) struct SearchContext<'a> {
@@ -64,7 +64,7 @@ impl ChosenModel {
     pub(super) fn select(
         search: &SearchContext<'_>,
         hold_out: Option<&HoldOut<'_>>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let SearchContext { data, problem, found, judged, runs, aside } = *search;
         let mut model = final_model(problem, found, judged);
         let mut written = WrittenTerms::new(problem, found, judged, &model, runs);
@@ -140,7 +140,7 @@ impl ChosenModel {
             }
             let parts = HeldOutRecord { problem, folds, model: &model, foreseen: None, within };
             let figures = parts.held_out_errors().figures;
-            let most_left_um = MAX_RESIDUAL_RATIO * figures.after_um;
+            let most_left_um = MAX_HOLD_OUT_RESIDUAL_RATIO * figures.after_um;
             let promised = ReductionBounds { floor: figures.reduction_floor95, most_left_um };
             Shortfall::new(data, hold_out, &hold_out.data, &model, promised, memory)
         };
@@ -165,7 +165,7 @@ impl ChosenModel {
         };
         let of_judgement = |judgement: &Judgement| {
             let mut finding = build_finding(problem, judgement, found.folds.unit);
-            finding.gain.add_within_mean_square(within);
+            finding.gain.add_within_group_mean_square(within);
             step_duration::append_duration_sentence(&mut finding, &judgement.part, data, after);
             if is_dropped(judgement.cause()) {
                 finding.mark_excluded();

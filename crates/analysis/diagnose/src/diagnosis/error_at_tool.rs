@@ -19,11 +19,11 @@
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
-use trueup_machine::{BadInput, RunFile, file::is_temperature_column};
+use trueup_machine::{InputFileError, RunFile, file::is_temperature_column};
 use trueup_numerics::{parallel::parallel_join, random::Generator, robust::median};
 
 use crate::{
-    data::{DataTable, Groups},
+    data::{DataTable, RowGroups},
     diagnosis::{
         errors::remove_zero_offset,
         report::{ErrorAtTool, ErrorReduction},
@@ -88,7 +88,7 @@ impl ErrorPredictor {
         &self,
         training: &DataTable,
         runs: &[RunFile],
-    ) -> Result<ErrorAtTool, BadInput> {
+    ) -> Result<ErrorAtTool, InputFileError> {
         self.predict_error_on_table(&Arc::new(build_evaluation_data(training, runs)?), runs, None)
     }
 
@@ -101,7 +101,7 @@ impl ErrorPredictor {
         table: &Arc<DataTable>,
         runs: &[RunFile],
         held_out: Option<ErrorReduction>,
-    ) -> Result<ErrorAtTool, BadInput> {
+    ) -> Result<ErrorAtTool, InputFileError> {
         let step = table.rows.div_ceil(MAX_EVALUATED_ROWS);
         let data = if step > 1 {
             let mask: Vec<bool> = (0..table.rows).map(|row| row % step == 0).collect();
@@ -114,7 +114,7 @@ impl ErrorPredictor {
         let corrected = mean_square(&data, &subtract(&extended, &believed));
         let is_axis = data.setting.quantity.axis().is_some();
         let values = || {
-            let groups = Groups::new(&data, &data.used, 1);
+            let groups = RowGroups::new(&data, &data.used, 1);
             self.spread.mean_prediction_variance(
                 &FitProblem::new(data.clone(), groups),
                 &self.model,
@@ -136,7 +136,7 @@ impl ErrorPredictor {
         &self,
         table: &DataTable,
         runs: &[RunFile],
-    ) -> Result<[f64; 2], BadInput> {
+    ) -> Result<[f64; 2], InputFileError> {
         let most = MAX_EVALUATED_ROWS.div_ceil(runs.len());
         // Where it was read does not matter.
         let read = |name: &str, values: &mut [f64]| {
@@ -166,9 +166,12 @@ impl ErrorPredictor {
 }
 
 /// Returns the table of `runs`, counted from where `training` is counted from.
-fn build_evaluation_data(training: &DataTable, runs: &[RunFile]) -> Result<DataTable, BadInput> {
+fn build_evaluation_data(
+    training: &DataTable,
+    runs: &[RunFile],
+) -> Result<DataTable, InputFileError> {
     let mut day = DataTable::new(&training.setting.machine, runs, training.setting.quantity)?;
-    day.set_origin(training);
+    day.copy_origin_from(training);
     Ok(day)
 }
 

@@ -14,9 +14,9 @@ use crate::{
 };
 
 /// Points drawn between two neighbouring places: a wave of that length still looks like one.
-const POINTS_BETWEEN_POSITIONS: usize = 20;
+const MAX_POINTS_BETWEEN_POSITIONS: usize = 20;
 /// A picture does not show more.
-const MAX_POINTS: usize = 1500;
+const MAX_CURVE_POINTS: usize = 1500;
 
 /// The errors by a model over an axis, approached from one side.
 pub(super) struct ErrorCurve {
@@ -53,15 +53,18 @@ fn machine_error_curves(data: &DataTable, machine: &Machine, axis: LinearAxis) -
     let index = axis.index();
     let places = sample_positions(data.position_mm(axis).unwrap_or(&[]));
     let mut sides: Vec<f64> = data
-        .direction(axis)
+        .approach_direction(axis)
         .map_or(vec![1.0], |of| [1.0, -1.0].into_iter().filter(|side| of.contains(side)).collect());
     if sides.is_empty() {
         sides.push(1.0);
     }
     let temperatures: Vec<(&str, f64)> =
         data.temperatures().iter().map(|(name, of)| (name.as_str(), finite_median(of))).collect();
-    let others: Vec<(&str, f64)> =
-        data.other_columns().iter().map(|(name, of)| (name.as_str(), finite_median(of))).collect();
+    let others: Vec<(&str, f64)> = data
+        .unknown_columns()
+        .iter()
+        .map(|(name, of)| (name.as_str(), finite_median(of)))
+        .collect();
     let at = |column: Option<&[f64]>| column.map(finite_median);
     let mut model = ReferenceModel::new(machine);
     let mut all = Vec::new();
@@ -104,7 +107,7 @@ fn sample_positions(position_mm: &[f64]) -> Vec<f64> {
     let mut places: Vec<f64> = position_mm.iter().copied().filter(|mm| mm.is_finite()).collect();
     places.sort_unstable_by(f64::total_cmp);
     places.dedup_by(|a, b| *a - *b < 1e-3);
-    let between = (MAX_POINTS / places.len().max(1)).clamp(1, POINTS_BETWEEN_POSITIONS);
+    let between = (MAX_CURVE_POINTS / places.len().max(1)).clamp(1, MAX_POINTS_BETWEEN_POSITIONS);
     let mut all: Vec<f64> = places
         .windows(2)
         .flat_map(|pair| {

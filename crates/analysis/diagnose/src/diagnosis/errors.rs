@@ -26,27 +26,27 @@ impl Residuals {
         aside: &[bool],
     ) -> Self {
         let (before, after) = (Model::default().predict(data), model.predict(data));
-        let before_rows = remove_zero_offset(data, compute_errors(data, &before, None));
-        let after_rows = remove_zero_offset(data, compute_errors(data, &after, Some(aside)));
+        let before_rows = remove_zero_offset(data, compute_residuals(data, &before, None));
+        let after_rows = remove_zero_offset(data, compute_residuals(data, &after, Some(aside)));
         let within = within_group_mean_square(data, problem, &after, aside);
         Self { before, after, before_rows, after_rows, within }
     }
 }
 
 /// Errors of the rows that count, in µm, but for those that are set `aside`.
-pub(crate) fn compute_errors(
+pub(crate) fn compute_residuals(
     data: &DataTable,
     predicted: &[f64],
     aside: Option<&[bool]>,
 ) -> Vec<f64> {
-    compute_errors_by_row(data, predicted, aside)
+    compute_residuals_by_row(data, predicted, aside)
         .into_iter()
         .filter(|error| error.is_finite())
         .collect()
 }
 
 /// The error of each row in µm, NaN where one does not count or is set `aside`.
-pub(crate) fn compute_errors_by_row(
+pub(crate) fn compute_residuals_by_row(
     data: &DataTable,
     predicted: &[f64],
     aside: Option<&[bool]>,
@@ -82,7 +82,7 @@ fn within_group_mean_square(
         // Rows of their own, or a draw of them.
         return 0.0;
     }
-    let rows = compute_errors(data, predicted, Some(aside));
+    let rows = compute_residuals(data, predicted, Some(aside));
     let residual: Vec<f64> =
         (0..data.rows).map(|row| data.measured[row] - predicted[row]).collect();
     let own = problem.data.whole.as_ref().map(|whole| whole.select_rows(&residual));

@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use trueup_machine::{
-    BadInput, Machine,
-    file::{Term, writer::Edit},
+    InputFileError, Machine,
+    file::{Term, writer::MachineFileEdit},
 };
 
 use super::Diagnosis;
@@ -42,8 +42,8 @@ pub(crate) fn render_extended_toml(
     path: &Path,
     corrected: &[(usize, Term)],
     terms: &[Term],
-) -> Result<String, BadInput> {
+) -> Result<String, InputFileError> {
     let replaced = corrected.iter().map(|(index, term)| (*index, term.to_section())).collect();
     let appended = terms.iter().map(Term::to_section).collect();
-    Edit { replaced, appended, ..Edit::default() }.apply(source, path)
+    MachineFileEdit { replaced, appended, ..MachineFileEdit::default() }.apply(source, path)
 }

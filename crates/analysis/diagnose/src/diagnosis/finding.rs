@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use trueup_machine::effect::{Dependence, Effect, RangeLimited, Side, Value as Entry};
+use trueup_machine::effect::{BoundSide, Dependence, Effect, RangeLimited, Value as Entry};
 use trueup_numerics::blocks::rms;
 use trueup_page::format_micrometres;
 
@@ -10,14 +10,14 @@ use crate::{
     data::DataTable,
     diagnosis::{
         alias_test::describe_alias_test,
-        errors::compute_errors,
+        errors::compute_residuals,
         next_measurement::next_measurement,
         omission::OmissionReason,
         report::{AlternativeCause, ColumnRange, CoupledCause, Finding},
     },
     fit::FitProblem,
     folds::FoldUnit,
-    gain::Gain,
+    gain::TermGain,
     judgement::{Caveat, Judgement, table::InterpolationAccuracy},
     outliers::OutlierJudgement,
     parameters::ParameterEstimates,
@@ -28,7 +28,7 @@ use crate::{
 pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: FoldUnit) -> Finding {
     let cause = it.cause();
     let sentence = it.part.sentence();
-    let Gain { rms_before_um, rms_after_um, .. } = it.gain;
+    let TermGain { rms_before_um, rms_after_um, .. } = it.gain;
     let first = &it.first_gain;
     let mut evidence = vec![
         sentence.clone(),
@@ -114,7 +114,7 @@ fn as_dependence(cause: &TermKind) -> Option<&Dependence> {
 /// Returns the range in which a cause acts.
 fn column_range((it, ci95): (&RangeLimited, [f64; 2])) -> ColumnRange {
     let bound = |side| (it.side == side).then_some(it.bound);
-    let (above, below) = (bound(Side::Above), bound(Side::Below));
+    let (above, below) = (bound(BoundSide::Above), bound(BoundSide::Below));
     ColumnRange { column: it.column.clone(), above, below, ci95 }
 }
 
@@ -294,7 +294,7 @@ fn describe_open_dependence(open: &TermKind) -> String {
 }
 
 /// Returns a doubt in a sentence.
-fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
+fn describe_caveat(doubt: &Caveat, gain: &TermGain, left_out: FoldUnit) -> String {
     match doubt {
         Caveat::AlternativeCause(rival) => format!("{} explains these data as well.", rival.title()),
         Caveat::NotIdentified => format!(
@@ -403,8 +403,8 @@ pub(crate) fn describe_unclaimed_outliers(
 
 /// Returns the finding of rows that were excluded as outliers.
 pub(crate) fn build_outlier_finding(data: &DataTable, after: &[f64], aside: &[bool]) -> Finding {
-    let with = compute_errors(data, after, None);
-    let without = compute_errors(data, after, Some(aside));
+    let with = compute_residuals(data, after, None);
+    let without = compute_residuals(data, after, Some(aside));
     let count = aside.iter().filter(|aside| **aside).count();
     let share = count as f64 / with.len() as f64;
     let mut parameters = Map::new();
@@ -430,7 +430,7 @@ pub(crate) fn build_outlier_finding(data: &DataTable, after: &[f64], aside: &[bo
         compensated: false,
         confidence: 0.999,
         parameters,
-        gain: Gain {
+        gain: TermGain {
             rms_before_um: before,
             rms_after_um: after,
             left_out_before_um: before,

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use trueup_numerics::{robust::median, t_quantile};
 
 use crate::{
-    columns::{MODEL_COLUMN, column_by_name},
+    columns::{PREDICTED_ELONGATION_COLUMN, column_by_name},
     data::{DataTable, forward_fill},
     diagnosis::{
         new_day::FoldVarianceComponents,
@@ -41,9 +41,9 @@ use crate::{
 /// A column leaves what the runs covered where it is beyond their ends by more than a tenth of their
 /// range: so far a straight line that was fitted to it may be continued with a standard error that grows
 /// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
-pub(super) const EXTRAPOLATION_MARGIN: f64 = 0.1;
+pub(super) const EXTRAPOLATION_MARGIN_SHARE: f64 = 0.1;
 /// Readings from which a day's zero is set.
-const ZERO_READING_COUNT: usize = 3;
+const ZEROING_READING_COUNT: usize = 3;
 
 /// A record that was predicted part by part.
 pub(super) struct HeldOutRecord<'p> {
@@ -74,7 +74,7 @@ impl HeldOutRecord<'_> {
 
     /// With the zero set `again` on each part or not; without `noise`, a mean square in µm² that before and after hold.
     fn error_reduction(&self, again: bool, noise: f64) -> ErrorReduction {
-        let parts = self.folds.part_numbers();
+        let parts = self.folds.record_part_numbers();
         let before = self.problem.residual(&Model::default());
         let after = match self.foreseen {
             Some(foreseen) => foreseen.left.clone(),
@@ -82,8 +82,11 @@ impl HeldOutRecord<'_> {
                 self.folds.signed_fold_residuals(self.problem, self.model, without_feed_dependence)
             }
         };
-        let within =
-            if again { (1.0 + 1.0 / ZERO_READING_COUNT as f64) * self.within } else { self.within };
+        let within = if again {
+            (1.0 + 1.0 / ZEROING_READING_COUNT as f64) * self.within
+        } else {
+            self.within
+        };
         let sums = |um: [Vec<f64>; 2], parts: &[usize]| {
             let um = if again { um.map(|um| rezero_parts(um, parts)) } else { um };
             FoldMeanSquares::new([&um[0], &um[1]], parts, within)
@@ -123,13 +126,13 @@ impl HeldOutRecord<'_> {
 
     /// Returns whether the inputs from a group on lie within those of the groups before.
     fn has_inputs_in_range(&self, first: usize) -> bool {
-        input_columns(&self.problem.data).chain([MODEL_COLUMN.into()]).all(|name| {
+        input_columns(&self.problem.data).chain([PREDICTED_ELONGATION_COLUMN.into()]).all(|name| {
             column_by_name(&self.problem.data, &name).is_none_or(|values| {
                 let values = self.problem.groups.means(&forward_fill(values));
                 let [of, rest] = [&values[..first], &values[first..]];
                 let [[low, high], [least, most]] =
                     [of, rest].map(|values| min_max(values.iter().copied()));
-                let margin = EXTRAPOLATION_MARGIN * (high - low);
+                let margin = EXTRAPOLATION_MARGIN_SHARE * (high - low);
                 least >= low - margin && most <= high + margin
             })
         })
@@ -237,7 +240,7 @@ fn rezero_parts(mut um: Vec<f64>, parts: &[usize]) -> Vec<f64> {
     while first < um.len() {
         let length = parts[first..].iter().take_while(|part| **part == parts[first]).count();
         let day = &mut um[first..first + length];
-        let readings = day.len().min(ZERO_READING_COUNT);
+        let readings = day.len().min(ZEROING_READING_COUNT);
         let zero = day[..readings].iter().sum::<f64>() / readings as f64;
         day.iter_mut().for_each(|um| *um -= zero);
         first += length;
@@ -260,7 +263,7 @@ pub(super) fn input_ranges(data: &DataTable) -> BTreeMap<String, [f64; 2]> {
 pub(super) fn input_columns(data: &DataTable) -> impl Iterator<Item = String> + '_ {
     let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"].map(String::from);
     let temperatures = data.temperatures().iter().map(|(name, _)| name.clone());
-    let others = data.other_columns().iter().map(|(name, _)| name.clone());
+    let others = data.unknown_columns().iter().map(|(name, _)| name.clone());
     known.into_iter().chain(temperatures).chain(others)
 }
 
@@ -282,7 +285,7 @@ pub(super) fn describe_unseen_categories(runs: &DataTable, here: &DataTable) -> 
             )
         })
     };
-    runs.other_columns().iter().filter_map(|(name, values)| sentence(name, values)).collect()
+    runs.unknown_columns().iter().filter_map(|(name, values)| sentence(name, values)).collect()
 }
 
 fn distinct_values(values: &[f64]) -> Option<Vec<f64>> {

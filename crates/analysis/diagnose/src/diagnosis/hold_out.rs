@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use trueup_machine::{BadInput, Machine, RunFile, file::Term, model::required_columns};
+use trueup_machine::{InputFileError, Machine, RunFile, file::Term, model::required_columns};
 
 use crate::{data::DataTable, model::Model, terms::ExtensionTerms};
 
@@ -21,7 +21,7 @@ impl HoldOut<'_> {
         &self,
         training: &DataTable,
         model: &Model,
-    ) -> Result<(), BadInput> {
+    ) -> Result<(), InputFileError> {
         let machine = &training.setting.machine;
         let ExtensionTerms { replaced, new } = ExtensionTerms::from_model(training, model);
         for term in replaced.into_iter().map(|(_, term)| term).chain(new) {
@@ -30,7 +30,7 @@ impl HoldOut<'_> {
                     file.require_column(&column).map_err(|missing| {
                         let cause = term.effect.name();
                         let rule = format!("{}; the term {cause} needs it", missing.rule);
-                        BadInput::new(missing.place, rule)
+                        InputFileError::new(missing.place, rule)
                     })?;
                 }
             }

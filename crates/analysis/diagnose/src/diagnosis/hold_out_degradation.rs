@@ -4,7 +4,7 @@ use crate::{
     columns::column_by_name,
     data::{DataTable, forward_fill},
     diagnosis::{
-        held_out_errors::{EXTRAPOLATION_MARGIN, input_columns},
+        held_out_errors::{EXTRAPOLATION_MARGIN_SHARE, input_columns},
         hold_out::HoldOut,
         range::{largest_rise, min_max},
     },
@@ -39,7 +39,7 @@ pub(super) fn describe_new_inputs(
     input_columns(training)
         .filter_map(|column| {
             let [runs, here] = [training, test].map(|data| column_by_name(data, &column));
-            describe_difference(&column, &forward_fill(runs?), &forward_fill(here?), first, last)
+            describe_new_input(&column, &forward_fill(runs?), &forward_fill(here?), first, last)
         })
         .map(|what| format!("{stretch} {what}"))
         .collect()
@@ -81,7 +81,7 @@ pub(super) fn row_in_file(test: &DataTable, hold_out: &HoldOut<'_>, row: usize) 
 }
 
 /// Returns what `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.
-fn describe_difference(
+fn describe_new_input(
     column: &str,
     runs: &[f64],
     here: &[f64],
@@ -91,7 +91,7 @@ fn describe_difference(
     let stretch = &here[first..=last];
     let ([low, high], [here_low, here_high]) =
         (min_max(runs.iter().copied()), min_max(stretch.iter().copied()));
-    let margin = EXTRAPOLATION_MARGIN * (high - low);
+    let margin = EXTRAPOLATION_MARGIN_SHARE * (high - low);
     if here_high > high + margin {
         return Some(format!(
             "{column} reaches {here_high:.2}; in the runs {high:.2} was the most"
@@ -146,20 +146,20 @@ mod tests {
         let runs: Vec<f64> = (0..50).map(|n| 20.0 + 0.5 * f64::from(n)).collect();
         let here: Vec<f64> = runs.iter().rev().copied().collect();
         let description =
-            describe_difference("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
+            describe_new_input("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
         assert_eq!(
             description,
             "temp_frame_c falls by 19.50; in the runs it never fell by more than 0.00"
         );
-        assert_eq!(describe_difference("temp_frame_c", &here, &here, 10, 49), None);
+        assert_eq!(describe_new_input("temp_frame_c", &here, &here, 10, 49), None);
     }
 
     #[test]
     fn a_column_beyond_what_the_runs_covered_is_told() {
         let runs = [20.0, 30.0, 20.0];
-        assert_eq!(describe_difference("t", &runs, &[30.5, 25.0], 0, 1), None);
+        assert_eq!(describe_new_input("t", &runs, &[30.5, 25.0], 0, 1), None);
         let description =
-            describe_difference("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
+            describe_new_input("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
         assert_eq!(description, "t reaches 35.00; in the runs 30.00 was the most");
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use trueup_page::{
-    NEXT_COMMANDS_HEADING, Origin, Page, commands_html, escape_html, format_micrometres,
+    NEXT_COMMANDS_HEADING, Page, Provenance, commands_html, escape_html, format_micrometres,
     format_significant, format_with_interval,
 };
 
@@ -11,7 +11,7 @@ use crate::{
     MISSING_INPUTS_INSTRUCTION,
     diagnosis::{
         Diagnosis,
-        report::{Finding, OmittedCause, Report, Verdict, format_expected_error},
+        report::{DiagnosisReport, Finding, OmittedCause, Verdict, format_expected_reduction},
         report_plots::{write_prediction_plot, write_residual_plots},
     },
 };
@@ -19,7 +19,7 @@ use crate::{
 pub(crate) fn render_html(
     diagnosis: &Diagnosis,
     machine_name: &str,
-    origin: &Origin,
+    origin: &Provenance,
     next: &[String],
 ) -> String {
     let report = &diagnosis.report;
@@ -127,7 +127,7 @@ fn capitalise(text: &str) -> String {
 }
 
 /// Returns what the tool may expect, in a sentence: the noise of the gauge is none of it.
-fn expected_error_sentence(report: &Report) -> String {
+fn expected_error_sentence(report: &DiagnosisReport) -> String {
     let at_tool = &report.at_tool;
     let readings = report.held_out.as_ref().map_or(String::new(), |held_out| {
         format!("A gauge on another day like these: {}. ", held_out.sentence())
@@ -137,7 +137,7 @@ fn expected_error_sentence(report: &Report) -> String {
          place of {} ({}).",
         format_micrometres(at_tool.after_um),
         format_micrometres(at_tool.before_um),
-        format_expected_error(at_tool.reduction_floor95, at_tool.reduction)
+        format_expected_reduction(at_tool.reduction_floor95, at_tool.reduction)
     )
 }
 
@@ -261,7 +261,7 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
     }
 }
 
-fn clean_verdict_sentence(report: &Report) -> String {
+fn clean_verdict_sentence(report: &DiagnosisReport) -> String {
     let found = if report.detectable_um.is_finite() {
         format!(
             "An error above {} RMS that repeats would have been found with 95 %.",

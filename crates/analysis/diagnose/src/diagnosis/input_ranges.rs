@@ -10,7 +10,7 @@ use trueup_machine::{
 use crate::{data::DataTable, diagnosis::range::min_max};
 
 /// Returns what was recorded of each input; of one that was not, 0.
-pub(super) fn recorded_ranges(data: &DataTable, runs: &[RunFile]) -> InputRanges {
+pub(super) fn recorded_input_ranges(data: &DataTable, runs: &[RunFile]) -> InputRanges {
     let temperatures =
         data.temperatures().iter().map(|(name, values)| (name.clone(), finite_range(values)));
     let temperatures_c: BTreeMap<String, [f64; 2]> = temperatures.collect();

@@ -14,7 +14,8 @@ use trueup_machine::{
 use crate::{
     data::DataTable,
     diagnosis::{
-        extended_file::extend_machine, input_ranges::recorded_ranges, omission::OmissionReason,
+        extended_file::extend_machine, input_ranges::recorded_input_ranges,
+        omission::OmissionReason,
     },
     fit::FitProblem,
     model::Model,
@@ -64,7 +65,7 @@ impl<'m> MeasuredRanges<'m> {
         Self {
             machine,
             quantity: data.setting.quantity,
-            ranges: recorded_ranges(data, runs),
+            ranges: recorded_input_ranges(data, runs),
             largest_um: about(&problem.measured).max(about(&left)).max(MIN_EFFECT_UM),
             range_um,
             is_refused: envelope::find_limit_violation(machine).is_some(),

@@ -40,7 +40,7 @@ pub(crate) mod written_terms;
 use std::sync::Arc;
 
 use trueup_machine::{
-    BadInput, RunFile, compile::missing_inputs, effect::peak_to_peak, file::Term,
+    InputFileError, RunFile, compile::missing_input_lines, effect::peak_to_peak, file::Term,
 };
 use trueup_numerics::blocks::rms;
 
@@ -50,7 +50,7 @@ use crate::{
     folds::Folds,
     judgement::Judgement,
     model::Model,
-    next_run::model_pair::{ModelPair, find_open_questions},
+    next_run::model_pair::{ModelPair, find_indistinguishable_pairs},
     outliers::{ExcludedRows, OutlierJudgement},
     parameters::mean_row_interval_s,
     repeats::{self, RepeatStatistics},
@@ -61,12 +61,12 @@ use crate::{
 use applied_factor::BridgeOffsets;
 use board_residuals::compute_board_residuals;
 use chosen_model::{ChosenModel, SearchContext};
-use errors::{Residuals, compute_errors_by_row, remove_zero_offset};
+use errors::{Residuals, compute_residuals_by_row, remove_zero_offset};
 use finding::{build_outlier_finding, describe_unclaimed_outliers};
 use held_out_errors::HeldOutRecord;
 use hold_out::HoldOut;
 use power::{COVERAGE, DetectionPower};
-use report::{ErrorsAfter, ErrorsBefore, OmittedCause, RejectedCause, Report, Verdict};
+use report::{DiagnosisReport, ErrorsAfter, ErrorsBefore, OmittedCause, RejectedCause, Verdict};
 use shortfall::Shortfall;
 use slow_drift::SlowDrift;
 use unexplained_residual::UnexplainedResidual;
@@ -77,7 +77,7 @@ use verdict::{VerdictEvidence, VerdictReason, decide_verdict};
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
     /// The answer.
-    pub report: Report,
+    pub report: DiagnosisReport,
     /// The new terms of the extended machine file, in its order.
     pub terms: Vec<Term>,
     /// Terms in the place of those of the machine file that are not right any more, with their numbers
@@ -122,7 +122,7 @@ pub(crate) fn build_diagnosis(
     judged: &[Judgement],
     ExcludedRows { rows: aside, known }: ExcludedRows,
     asked: DiagnosisInputs<'_>,
-) -> Result<Diagnosis, BadInput> {
+) -> Result<Diagnosis, InputFileError> {
     let runs = asked.runs;
     let search = SearchContext { data: &data, problem, found: &found, judged, runs, aside: &aside };
     let mut chosen = ChosenModel::select(&search, asked.hold_out)?;
@@ -155,7 +155,7 @@ pub(crate) fn build_diagnosis(
     let shortfall = asked.hold_out.and_then(|hold_out| {
         chosen.shortfall(&search, hold_out, &compensated, floor, &folds, within)
     });
-    let questions = find_open_questions(problem, &found, judged);
+    let questions = find_indistinguishable_pairs(problem, &found, judged);
     let has_outliers = known == OutlierJudgement::Wrong;
     let notes = with_warnings(asked.notes, &aside, known, shortfall.as_ref());
     let left = ResidualSummary::new(&search, &residuals, asked.matters_um);
@@ -173,7 +173,7 @@ pub(crate) fn build_diagnosis(
     let at_tool = promise.predict_error_on_table(&data, runs, of_parts)?;
     let law = &data.predicted.law;
     let hints = full_scale_hint::full_scale_hints(&data.setting.machine, &findings, law);
-    let report = Report {
+    let report = DiagnosisReport {
         schema: 1,
         rows: data.rows,
         rows_used: after_rows.len(),
@@ -231,7 +231,7 @@ fn with_warnings(
 fn with_missing_inputs(mut diagnosis: Diagnosis) -> Diagnosis {
     if diagnosis.has_corrections() {
         diagnosis.report.missing_inputs =
-            missing_inputs(&extended_file::extended_machine(&diagnosis));
+            missing_input_lines(&extended_file::extended_machine(&diagnosis));
     }
     diagnosis
 }
@@ -253,7 +253,7 @@ impl ResidualSummary {
         let Residuals { after, before_rows, after_rows, .. } = residuals;
         let repeats = repeats::analyse_repeats(data, after, aside);
         let left_um = rms(after_rows);
-        let by_row = compute_errors_by_row(data, after, Some(aside));
+        let by_row = compute_residuals_by_row(data, after, Some(aside));
         let spread_um = [rms(before_rows), left_um];
         Self {
             noise_um: estimate_noise_um(problem, found, after_rows, repeats.as_ref()),
@@ -350,7 +350,7 @@ fn estimate_noise_um(
 /// Returns the part of `estimate_noise_um` that is surely the gauge's: it was seen at repeats, or from reading to reading while
 /// next to nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
 fn gauge_noise_um(data: &DataTable, problem: &FitProblem, noise_um: f64, is_repeated: bool) -> f64 {
-    let moves = data.own_position().is_some_and(|mm| peak_to_peak(mm) > 0.0);
+    let moves = data.own_position_mm().is_some_and(|mm| peak_to_peak(mm) > 0.0);
     let stated_um = data.setting.machine.instrument_um.map(|um| um / COVERAGE);
     if is_repeated || !moves && problem.data.time_s().is_some() {
         noise_um

@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// The pages require temperatures so far apart, in K.
-const MIN_TEMPERATURE_DIFFERENCE_C: f64 = 5.0;
+const MIN_TEMPERATURE_DIFFERENCE_K: f64 = 5.0;
 /// The page of backlash requires this many readings from each side,
 const MIN_READINGS_PER_SIDE: usize = 7;
 /// at mid-travel and both ends.
@@ -57,7 +57,8 @@ fn satisfies_request(problem: &FitProblem, part: &ModelPart, asked: &str) -> boo
 
 /// Three places at least, each read seven times from each side.
 fn has_enough_approaches(data: &DataTable) -> bool {
-    let (Some(own), Some(direction)) = (data.own_position(), data.own_direction()) else {
+    let (Some(own), Some(direction)) = (data.own_position_mm(), data.own_approach_direction())
+    else {
         return false;
     };
     let mut read: BTreeMap<i64, [usize; 2]> = BTreeMap::new();
@@ -86,13 +87,13 @@ fn has_heating_and_cooling(data: &DataTable, column: Option<&str>) -> bool {
         let rise = largest_rise(values.iter().copied());
         let fall = largest_rise(values.iter().map(|value| -value));
         let range = rise.max(fall);
-        range >= MIN_TEMPERATURE_DIFFERENCE_C && rise.min(fall) > 0.5 * range
+        range >= MIN_TEMPERATURE_DIFFERENCE_K && rise.min(fall) > 0.5 * range
     })
 }
 
 /// Returns whether the axis was at both ends, each at temperatures at least 5 K apart.
 fn has_ends_at_two_temperatures(data: &DataTable, column: Option<&str>) -> bool {
-    let Some(own) = data.own_position() else { return false };
+    let Some(own) = data.own_position_mm() else { return false };
     let [low, high] = min_max(own.iter().copied());
     let margin = END_ZONE_SHARE * (high - low);
     relevant_temperatures(data, column).any(|values| {
@@ -102,8 +103,8 @@ fn has_ends_at_two_temperatures(data: &DataTable, column: Option<&str>) -> bool 
             warm - cold
         };
         high > low
-            && spread(&|mm| mm <= low + margin) >= MIN_TEMPERATURE_DIFFERENCE_C
-            && spread(&|mm| mm >= high - margin) >= MIN_TEMPERATURE_DIFFERENCE_C
+            && spread(&|mm| mm <= low + margin) >= MIN_TEMPERATURE_DIFFERENCE_K
+            && spread(&|mm| mm >= high - margin) >= MIN_TEMPERATURE_DIFFERENCE_K
     })
 }
 

@@ -1,34 +1,34 @@
 //! The pictures of the report, in the look of all reports.
 
-use trueup_page::{Chart, Series};
+use trueup_page::{Chart, ChartSeries};
 
-pub(crate) use trueup_page::Colour;
+pub(crate) use trueup_page::ColourRole;
 
 /// Points (x, y) of one colour.
 pub(crate) struct PlotSeries<'a> {
     pub x: &'a [f64],
     pub y: &'a [f64],
-    pub colour: Colour,
+    pub colour: ColourRole,
     pub is_line: bool,
 }
 
 impl<'a> PlotSeries<'a> {
-    pub(super) fn dots(x: &'a [f64], y: &'a [f64], colour: Colour) -> Self {
+    pub(super) fn dots(x: &'a [f64], y: &'a [f64], colour: ColourRole) -> Self {
         Self { x, y, colour, is_line: false }
     }
 
-    pub(super) fn line(x: &'a [f64], y: &'a [f64], colour: Colour) -> Self {
+    pub(super) fn line(x: &'a [f64], y: &'a [f64], colour: ColourRole) -> Self {
         Self { x, y, colour, is_line: true }
     }
 }
 
 /// Returns what a colour stands for.
-fn colour_label(colour: Colour) -> &'static str {
+fn colour_role_label(colour: ColourRole) -> &'static str {
     match colour {
-        Colour::Before => "the machine file as it is",
-        Colour::After => "with the causes found",
-        Colour::Measured => "measured",
-        Colour::Truth => "true",
+        ColourRole::Before => "the machine file as it is",
+        ColourRole::After => "with the causes found",
+        ColourRole::Measured => "measured",
+        ColourRole::Truth => "true",
     }
 }
 
@@ -41,8 +41,8 @@ pub(crate) fn render_plot(
 ) -> String {
     let series = lists.iter().map(|list| {
         let points = list.x.iter().zip(list.y).map(|(x, y)| [*x, *y]).collect();
-        let of = if list.is_line { Series::line } else { Series::dots };
-        of(colour_label(list.colour), list.colour, points)
+        let of = if list.is_line { ChartSeries::line } else { ChartSeries::dots };
+        of(colour_role_label(list.colour), list.colour, points)
     });
     Chart { title: title.into(), x: x_name.into(), y: y_name.into(), series: series.collect() }
         .to_figure()

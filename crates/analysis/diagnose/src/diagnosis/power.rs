@@ -26,15 +26,15 @@ use crate::{
     data::DataTable,
     diagnosis::slow_drift::has_slow_drift,
     fit::{CONFIDENCE_LEVEL, FitProblem},
-    search::{SearchOutcome, scan::FALSE_ALARM_PROBABILITY, state::MIN_RELEVANT_SHARE},
+    search::{SearchOutcome, scan::FALSE_ALARM_PROBABILITY, state::MIN_RELEVANT_RMS_SHARE},
 };
 
 /// A term has mostly an amplitude and a time constant or a reference.
 const PARAMETERS_PER_TERM: f64 = 2.0;
 /// ISO 230-2: five targets at the least.
-const MIN_ISO_TARGETS: usize = 5;
+const MIN_ISO_230_2_TARGETS: usize = 5;
 /// No longer record is considered.
-const MAX_ROWS: usize = 1_000_000;
+const MAX_RECORD_ROWS: usize = 1_000_000;
 
 /// The power of a diagnosis.
 #[derive(Clone, Debug)]
@@ -107,11 +107,11 @@ impl DetectionPower {
             independent - PARAMETERS_PER_TERM - 1.0,
         );
         // What takes away less than that is not worth a term.
-        let least = ((1.0 - MIN_RELEVANT_SHARE).powi(-2) - 1.0).sqrt();
+        let least = ((1.0 - MIN_RELEVANT_RMS_SHARE).powi(-2) - 1.0).sqrt();
         let found_um = noise_um * (lambda / independent).sqrt().max(least);
         let is_promised = found_um <= left_um;
         let is_of_position =
-            problem.data.time_s().is_none() && problem.data.own_position().is_some();
+            problem.data.time_s().is_none() && problem.data.own_position_mm().is_some();
         let may_be_a_curve =
             is_of_position && !is_promised && !is_of_instrument && has_slow_drift(problem, found);
         let is_detectable = is_found(if known_um.is_some() { rows as f64 } else { count });
@@ -149,7 +149,7 @@ fn is_within_noise(left_um: f64, noise_um: f64, rows: f64, freedom: f64) -> bool
 
 impl RequiredMeasurement {
     fn new(data: &DataTable, ratio: f64, is_found: &dyn Fn(f64) -> bool) -> Self {
-        if let Some(own) = data.own_position().filter(|_| data.time_s().is_none()) {
+        if let Some(own) = data.own_position_mm().filter(|_| data.time_s().is_none()) {
             return Self::for_axis(data, own, ratio);
         }
         let Some(rows) = min_sufficient_rows(is_found) else { return Self::OtherInstrument };
@@ -169,7 +169,7 @@ impl RequiredMeasurement {
             .map(|row| (own[row] * 1000.0).round() as i64)
             .collect();
         let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Self::Calibration };
-        if at.len() < MIN_ISO_TARGETS {
+        if at.len() < MIN_ISO_230_2_TARGETS {
             return Self::Calibration;
         }
         let both_sides = 2 * at.len();
@@ -188,7 +188,7 @@ fn min_sufficient_rows(is_found: &dyn Fn(f64) -> bool) -> Option<usize> {
     let (mut low, mut high) = (2, 3);
     while !is_found(high as f64) {
         (low, high) = (high, 2 * high);
-        if high > MAX_ROWS {
+        if high > MAX_RECORD_ROWS {
             return None;
         }
     }
@@ -209,7 +209,7 @@ impl fmt::Display for RequiredMeasurement {
             ),
             Self::Calibration => write!(
                 f,
-                "measure by ISO 230-2: at least {MIN_ISO_TARGETS} positions over the travel, five \
+                "measure by ISO 230-2: at least {MIN_ISO_230_2_TARGETS} positions over the travel, five \
                  cycles, each position approached from both sides"
             ),
             Self::Record { rows, seconds: Some(seconds) } if *seconds >= 60.0 => write!(

@@ -8,11 +8,11 @@ use trueup_numerics::blocks::rms;
 use super::errors::max_abs_error;
 use crate::search::criterion::MAX_EQUIVALENT_RMS_RATIO;
 
-pub use crate::gain::Gain;
+pub use crate::gain::TermGain;
 
 /// The whole answer.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
+pub struct DiagnosisReport {
     /// Of this form.
     pub schema: u32,
     /// Rows of all runs.
@@ -30,7 +30,7 @@ pub struct Report {
     pub detectable_um: f64,
     /// The slow drift in the rest, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub wandering: Option<SlowDrift>,
+    pub wandering: Option<SlowDriftReport>,
     /// Errors with the current machine file.
     pub before: ErrorsBefore,
     /// Errors with the extended one.
@@ -67,7 +67,7 @@ pub struct Report {
 
 /// A slow drift of the residual that is correlated with nothing recorded.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct SlowDrift {
+pub struct SlowDriftReport {
     /// Root mean square of its slow part, in µm.
     pub rms_um: f64,
     /// Its correlation time, in s.
@@ -189,20 +189,20 @@ impl HeldOutErrors {
         let again = &self.zero_again;
         format!(
             "{}; with the zero set again {}",
-            format_expected_error(reduction_floor95, reduction),
-            format_expected_error(again.reduction_floor95, again.reduction)
+            format_expected_reduction(reduction_floor95, reduction),
+            format_expected_reduction(again.reduction_floor95, again.reduction)
         )
     }
 }
 
 /// Returns whether a floor is one: below 5 % the file predicts no worse than the extended one.
-pub(crate) fn is_meaningful_floor(floor: f64) -> bool {
+pub(crate) fn is_meaningful_reduction_floor(floor: f64) -> bool {
     floor >= MAX_EQUIVALENT_RMS_RATIO - 1.0
 }
 
 /// Returns a promise in words.
-pub(crate) fn format_expected_error(floor: f64, expected: f64) -> String {
-    if !is_meaningful_floor(floor) {
+pub(crate) fn format_expected_reduction(floor: f64, expected: f64) -> String {
+    if !is_meaningful_reduction_floor(floor) {
         format!(
             "{:.0} % less expected, and no floor: the parts of the record differ too much",
             100.0 * expected
@@ -314,7 +314,7 @@ pub struct Finding {
     /// By name, with units in the names.
     pub parameters: serde_json::Map<String, serde_json::Value>,
     /// Errors without it and with it, and their reduction.
-    pub gain: Gain,
+    pub gain: TermGain,
     /// The cause in a sentence.
     pub sentence: String,
     /// A sentence each.

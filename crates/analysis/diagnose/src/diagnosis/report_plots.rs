@@ -12,7 +12,7 @@ use crate::{
     diagnosis::{
         Diagnosis,
         error_curve::{abscissa_axis, compute_error_curves},
-        plot::{Colour, PlotSeries, render_plot},
+        plot::{ColourRole, PlotSeries, render_plot},
     },
 };
 
@@ -32,12 +32,12 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
     let (before, after) = (pick(&diagnosis.before), pick(&diagnosis.after));
     let left = |p: &[f64]| -> Vec<f64> { measured.iter().zip(p).map(|(m, p)| m - p).collect() };
     let (left_before, left_after) = (left(&before), left(&after));
-    let mut lists = vec![PlotSeries::dots(&x, &measured, Colour::Measured)];
+    let mut lists = vec![PlotSeries::dots(&x, &measured, ColourRole::Measured)];
     let dense = match over {
         HorizontalAxis::Position(axis) => compute_error_curves(diagnosis, axis),
         _ => [Vec::new(), Vec::new()],
     };
-    for (error_curves, colour) in dense.iter().zip([Colour::Before, Colour::After]) {
+    for (error_curves, colour) in dense.iter().zip([ColourRole::Before, ColourRole::After]) {
         lists.extend(
             error_curves.iter().map(|curve| PlotSeries::line(&curve.at_mm, &curve.um, colour)),
         );
@@ -48,15 +48,15 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
         .filter(|two| data.places.series[two[0]] != data.places.series[two[1]])
         .count();
     if !has_curves && series > MAX_LINE_SERIES {
-        lists.push(PlotSeries::dots(&x, &before, Colour::Before));
-        lists.push(PlotSeries::dots(&x, &after, Colour::After));
+        lists.push(PlotSeries::dots(&x, &before, ColourRole::Before));
+        lists.push(PlotSeries::dots(&x, &after, ColourRole::After));
     } else if !has_curves {
         // A line ends where a series does.
         let mut first = 0;
         for end in 1..=rows.len() {
             if end == rows.len() || data.places.series[rows[end]] != data.places.series[rows[first]]
             {
-                for (y, colour) in [(&before, Colour::Before), (&after, Colour::After)] {
+                for (y, colour) in [(&before, ColourRole::Before), (&after, ColourRole::After)] {
                     lists.push(PlotSeries::line(&x[first..end], &y[first..end], colour));
                 }
                 first = end;
@@ -72,13 +72,13 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
     out.push_str("<div class=\"grid\">");
     out.push_str(&render_plot(&title, &x_name, "µm", &lists));
     let lists = [
-        PlotSeries::dots(&x, &left_before, Colour::Before),
-        PlotSeries::dots(&x, &left_after, Colour::After),
+        PlotSeries::dots(&x, &left_before, ColourRole::Before),
+        PlotSeries::dots(&x, &left_after, ColourRole::After),
     ];
     out.push_str(&render_plot("What is left: measured minus predicted", &x_name, "µm", &lists));
     // Next to an error ten times as large nothing of its shape can be seen.
     if !diagnosis.report.findings.is_empty() {
-        let lists = [PlotSeries::dots(&x, &left_after, Colour::After)];
+        let lists = [PlotSeries::dots(&x, &left_after, ColourRole::After)];
         let title = "What is left with the causes found, on a scale of its own";
         out.push_str(&render_plot(title, &x_name, "µm", &lists));
     }
@@ -137,7 +137,7 @@ pub(super) fn write_residual_plots(diagnosis: &Diagnosis, out: &mut String) {
     let mut names: Vec<String> =
         ["time_s", "run", "x_mm", "y_mm", "z_mm", "spindle_rpm", "load_n"].map(String::from).into();
     names.extend(data.temperatures().iter().map(|(name, _)| name.clone()));
-    names.extend(data.other_columns().iter().map(|(name, _)| name.clone()));
+    names.extend(data.unknown_columns().iter().map(|(name, _)| name.clone()));
     let mut all = String::new();
     let mut draw = |name: &str, x: &[f64]| {
         // Against what stays the same nothing can be seen.
@@ -146,8 +146,8 @@ pub(super) fn write_residual_plots(diagnosis: &Diagnosis, out: &mut String) {
             return;
         }
         let lists = [
-            PlotSeries::dots(x, &before, Colour::Before),
-            PlotSeries::dots(x, &after, Colour::After),
+            PlotSeries::dots(x, &before, ColourRole::Before),
+            PlotSeries::dots(x, &after, ColourRole::After),
         ];
         all.push_str(&render_plot(
             &format!("What is left against {name}"),
@@ -162,7 +162,7 @@ pub(super) fn write_residual_plots(diagnosis: &Diagnosis, out: &mut String) {
             draw(&name, &x);
         }
     }
-    if let Some(direction) = data.own_direction() {
+    if let Some(direction) = data.own_approach_direction() {
         let x: Vec<f64> = rows.iter().map(|&row| direction[row]).collect();
         draw("direction", &x);
     }

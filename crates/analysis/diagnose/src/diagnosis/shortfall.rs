@@ -13,7 +13,7 @@ use crate::{
         hold_out_degradation::{
             describe_new_inputs, describe_worst_interval, excess_squared_errors, row_in_file,
         },
-        report::is_meaningful_floor,
+        report::is_meaningful_reduction_floor,
     },
     model::Model,
 };
@@ -100,7 +100,7 @@ impl Shortfall {
     pub(super) fn warning(&self) -> Option<String> {
         let [floor, came, most] = [self.floor, self.came, self.most].map(|share| 100.0 * share);
         let why = match &self.gross {
-            _ if self.is_certain() || !is_meaningful_floor(self.floor) => return None,
+            _ if self.is_certain() || !is_meaningful_reduction_floor(self.floor) => return None,
             // What the runs did not have is no wrong reading.
             _ if !self.places.is_empty() => {
                 format!("But {}. Measure a run that covers this", self.places.join("; "))

@@ -27,9 +27,9 @@ pub(crate) struct SlowDrift {
 
 impl SlowDrift {
     /// Returns it as it is reported.
-    pub(super) fn to_report(&self) -> report::SlowDrift {
+    pub(super) fn to_report(&self) -> report::SlowDriftReport {
         let (memory_s, memory_rows) = (self.memory.seconds(), self.memory.rows());
-        report::SlowDrift { rms_um: self.rms_um, memory_s, memory_rows }
+        report::SlowDriftReport { rms_um: self.rms_um, memory_s, memory_rows }
     }
 }
 
@@ -93,7 +93,7 @@ pub(super) fn has_slow_drift(problem: &FitProblem, found: &SearchOutcome) -> boo
 
 /// Returns what moves machines slowly and is no column of these runs.
 fn unrecorded_inputs(data: &DataTable) -> Vec<&'static str> {
-    let all = data.temperatures().iter().chain(data.other_columns());
+    let all = data.temperatures().iter().chain(data.unknown_columns());
     let names: Vec<String> = all.map(|(name, _)| name.to_lowercase()).collect();
     let has =
         |words: &[&str]| names.iter().any(|name| words.iter().any(|word| name.contains(word)));

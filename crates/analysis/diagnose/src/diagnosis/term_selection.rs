@@ -21,7 +21,7 @@ use crate::{
     },
     fit::FitProblem,
     folds::Folds,
-    gain::Gain,
+    gain::TermGain,
     judgement::Judgement,
     model::Model,
     predict::{HeldOutResiduals, select_correction},
@@ -140,7 +140,7 @@ pub(super) fn build_prediction_findings(
     let is_named = |kind: &TermKind| judged.iter().any(|judgement| judgement.cause() == kind);
     let original = on.residual(&Model::default());
     let after = on.residual(&written.board);
-    let gain = Gain::new(
+    let gain = TermGain::new(
         [rms(&original), rms(&after)],
         [&original, &foreseen.left],
         &folds.rms_reduction(&original, &foreseen.left),

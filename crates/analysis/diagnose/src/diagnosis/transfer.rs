@@ -12,7 +12,7 @@ use crate::{
         final_model::without_causes,
         hold_out::HoldOut,
         hold_out_degradation::{describe_worst_interval, excess_squared_errors},
-        validation_data::hold_out_residual_rms,
+        validation_data::hold_out_residual_rms_um,
     },
     fit::{FitProblem, fit},
     model::Model,
@@ -53,11 +53,11 @@ impl HoldOutEvaluation {
     pub(super) fn new(problem: &FitProblem, model: Model, hold_out: &HoldOut<'_>) -> Self {
         let test = &hold_out.data;
         let believed = Model::default();
-        let before_um = hold_out_residual_rms(test, &believed);
+        let before_um = hold_out_residual_rms_um(test, &believed);
         // As it is, and as the board runs it.
         let left_um = |model: &Model| {
-            hold_out_residual_rms(test, model)
-                .max(hold_out_residual_rms(test, &compensated_model(model)))
+            hold_out_residual_rms_um(test, model)
+                .max(hold_out_residual_rms_um(test, &compensated_model(model)))
         };
         let found_um = left_um(&model);
         if model.parts.is_empty() || found_um <= MAX_EQUIVALENT_RMS_RATIO * before_um {

@@ -11,7 +11,7 @@ use trueup_page::format_micrometres;
 use crate::{
     data::DataTable,
     diagnosis::power::COVERAGE,
-    repeats::{MAX_REPEATABILITY_UM, POSITION_TOLERANCE_MM, RepeatStatistics},
+    repeats::{MAX_REPEATABILITY_STD_UM, POSITION_TOLERANCE_MM, RepeatStatistics},
     search::criterion::MAJORITY_SHARE,
 };
 
@@ -43,9 +43,9 @@ impl UnexplainedResidual {
             return None;
         }
         let stated_um = data.setting.machine.instrument_um.map(|um| um / COVERAGE);
-        let gauge_um = stated_um.or_else(|| repeatability_um(data, errors));
+        let gauge_um = stated_um.or_else(|| repeatability_std_um(data, errors));
         let is_explained = gauge_um.is_some_and(|um| left_um <= COVERAGE * um);
-        (left_um > MAX_REPEATABILITY_UM && !is_explained).then_some(Self {
+        (left_um > MAX_REPEATABILITY_STD_UM && !is_explained).then_some(Self {
             left_um,
             gauge_um,
             is_most: left_um > MAJORITY_SHARE * before_um,
@@ -65,7 +65,7 @@ fn has_random_order(mm: &[f64]) -> bool {
 }
 
 /// Returns the standard deviation of readings at one place, in µm, where enough places were measured again.
-fn repeatability_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
+fn repeatability_std_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
     let place = |row: usize| {
         data.positions_mm().map(|axis| {
             let mm = axis.map_or(0.0, |mm| mm[row]);

@@ -7,7 +7,7 @@
 use trueup_numerics::blocks::rms;
 
 use crate::{
-    data::DataTable, diagnosis::errors::compute_errors, fit::FitProblem, folds::Folds,
+    data::DataTable, diagnosis::errors::compute_residuals, fit::FitProblem, folds::Folds,
     model::Model, search::initial_model,
 };
 
@@ -26,11 +26,11 @@ impl ValidationData<'_> {
         let on_blocks = || {
             let zero = initial_model(&self.problem.data);
             if zero.constant_um.is_none() {
-                return self.rms_by_row(&self.problem.residual(&zero));
+                return self.rms_over_rows(&self.problem.residual(&zero));
             }
-            self.rms_by_row(&self.folds.held_out_residuals(self.problem, &zero))
+            self.rms_over_rows(&self.folds.held_out_residuals(self.problem, &zero))
         };
-        self.test.map_or_else(on_blocks, |test| hold_out_residual_rms(test, &Model::default()))
+        self.test.map_or_else(on_blocks, |test| hold_out_residual_rms_um(test, &Model::default()))
     }
 
     /// Returns what `model` leaves; without terms it is the current machine file.
@@ -38,16 +38,16 @@ impl ValidationData<'_> {
         if model.parts.is_empty() {
             return self.uncompensated_rms_um();
         }
-        let on_blocks = || self.rms_by_row(&self.folds.held_out_residuals(self.problem, model));
-        self.test.map_or_else(on_blocks, |test| hold_out_residual_rms(test, model))
+        let on_blocks = || self.rms_over_rows(&self.folds.held_out_residuals(self.problem, model));
+        self.test.map_or_else(on_blocks, |test| hold_out_residual_rms_um(test, model))
     }
 
-    fn rms_by_row(&self, groups: &[f64]) -> f64 {
+    fn rms_over_rows(&self, groups: &[f64]) -> f64 {
         (rms(groups).powi(2) + self.within).sqrt()
     }
 }
 
 /// Returns what `model` leaves on a hold-out: RMS, in µm.
-pub(super) fn hold_out_residual_rms(test: &DataTable, model: &Model) -> f64 {
-    rms(&compute_errors(test, &model.predict(test), None))
+pub(super) fn hold_out_residual_rms_um(test: &DataTable, model: &Model) -> f64 {
+    rms(&compute_residuals(test, &model.predict(test), None))
 }

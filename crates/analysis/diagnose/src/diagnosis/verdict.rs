@@ -11,7 +11,7 @@ use crate::{
         unexplained_residual::UnexplainedResidual,
     },
     judgement::Judgement,
-    repeats::{MAX_REPEATABILITY_UM, RepeatStatistics},
+    repeats::{MAX_REPEATABILITY_STD_UM, RepeatStatistics},
     search::{
         SearchOutcome,
         lack_of_fit::{CurveInputs, LackOfFit},
@@ -20,7 +20,7 @@ use crate::{
 
 /// A slow drift is structure where it is larger than what differs from reading to reading by more than this factor: it
 /// remembers more than three readings.
-const MIN_DRIFT_RATIO: f64 = 2.0;
+const MIN_DRIFT_TO_NOISE_RATIO: f64 = 2.0;
 
 /// Why a verdict is as it is.
 #[derive(Clone, Debug)]
@@ -216,7 +216,7 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
         reasons.push(VerdictReason::Predicted);
     }
     if judged.is_empty() && !grounds.is_predicted {
-        return verdict_without_cause(grounds, reasons);
+        return decide_verdict_without_cause(grounds, reasons);
     }
     let is_doubted =
         |judgement: &Judgement| !judgement.doubts.is_empty() && judgement.other_law().is_none();
@@ -244,14 +244,14 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
 }
 
 /// Returns the verdict where no cause was found.
-fn verdict_without_cause(
+fn decide_verdict_without_cause(
     grounds: &VerdictEvidence<'_>,
     mut reasons: Vec<VerdictReason>,
 ) -> (Verdict, Vec<VerdictReason>) {
     let power = grounds.power;
     let does_not_repeat = |statistics: &&RepeatStatistics| {
         statistics.scatter_um > statistics.systematic_um
-            && statistics.scatter_um > MAX_REPEATABILITY_UM
+            && statistics.scatter_um > MAX_REPEATABILITY_STD_UM
     };
     if let Some(repeats) = grounds.repeats.filter(does_not_repeat) {
         reasons.push(VerdictReason::DoesNotRepeat(*repeats));
@@ -277,7 +277,8 @@ impl VerdictEvidence<'_> {
     /// structure.
     fn has_drift_above_noise(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
-        self.instrument_um.is_none() && wandering > MIN_DRIFT_RATIO * self.between_neighbours_um
+        self.instrument_um.is_none()
+            && wandering > MIN_DRIFT_TO_NOISE_RATIO * self.between_neighbours_um
     }
 
     /// Returns whether what wanders is larger than what the instrument is worth: then it is the machine that does.

@@ -82,7 +82,7 @@ impl WrittenTerms {
         let own = without_unsupported_terms(problem);
         let mut written =
             Self { board: joint.clone(), explains: Model::default(), own, left: Vec::new() };
-        let only_explains: Vec<TermKind> = filter_kinds(joint, |kind| !kind.is_compensated());
+        let only_explains: Vec<TermKind> = filter_term_kinds(joint, |kind| !kind.is_compensated());
         if !only_explains.is_empty() || written.own.is_some() {
             written.board = written.refit_board_terms(problem, found, judged, joint);
             written.drop_dependent_terms(problem, found, judged);
@@ -90,7 +90,7 @@ impl WrittenTerms {
         written.drop_extrapolating_terms(problem, found, runs);
         written.board = board_model(&written.board);
         written.drop_terms_without_gain(problem, found, judged);
-        written.explains = written.fit_explanatory_terms(problem, joint);
+        written.explains = written.fit_uncompensated_terms(problem, joint);
         written
     }
 
@@ -120,8 +120,9 @@ impl WrittenTerms {
                 judgement.cause() == kind && !judgement.is_kept && judgement.is_record_specific()
             })
         };
-        let leave =
-            filter_kinds(&found.fitted.model, |kind| !is_handed_out(kind) && !is_of_record(kind));
+        let leave = filter_term_kinds(&found.fitted.model, |kind| {
+            !is_handed_out(kind) && !is_of_record(kind)
+        });
         let model = without_causes(problem, &found.fitted.model, leave.iter());
         if model.parts.is_empty() {
             return Model::default();
@@ -235,7 +236,7 @@ impl WrittenTerms {
     }
 
     /// Returns what of `joint` only explains, fitted to what the board's terms leave.
-    fn fit_explanatory_terms(&self, problem: &FitProblem, joint: &Model) -> Model {
+    fn fit_uncompensated_terms(&self, problem: &FitProblem, joint: &Model) -> Model {
         let mut model = Model {
             parts: joint.parts.iter().filter(|part| !part.kind.is_compensated()).cloned().collect(),
             constant_um: Some(0.0),
@@ -295,9 +296,10 @@ impl WrittenTerms {
     /// Returns the mean square of what the machine does that `model` explains and the board does not run, in µm²: a
     /// drift and a jump come again; an error of the instrument or of a clock is not at the tool.
     pub(super) fn uncompensated_mean_square(&self, data: &DataTable, model: &Model) -> f64 {
-        let is_of_machine = |kind: &TermKind| !kind.is_of_instrument() && !kind.is_time_shift();
+        let is_of_machine = |kind: &TermKind| !kind.is_instrument_error() && !kind.is_time_shift();
         let of_machine = |kind: &TermKind| kind.is_compensated() || is_of_machine(kind);
-        if filter_kinds(model, |kind| !kind.is_compensated() && is_of_machine(kind)).is_empty() {
+        if filter_term_kinds(model, |kind| !kind.is_compensated() && is_of_machine(kind)).is_empty()
+        {
             return 0.0;
         }
         let mut whole = model.clone();
@@ -338,7 +340,7 @@ fn board_model(model: &Model) -> Model {
 }
 
 /// Returns the kinds of the parts that are so.
-fn filter_kinds(model: &Model, is_so: impl Fn(&TermKind) -> bool) -> Vec<TermKind> {
+fn filter_term_kinds(model: &Model, is_so: impl Fn(&TermKind) -> bool) -> Vec<TermKind> {
     model.parts.iter().map(|part| &part.kind).filter(|kind| is_so(kind)).cloned().collect()
 }
 

@@ -5,7 +5,7 @@ use trueup_machine::effect::MIN_READINGS_PER_PERIOD;
 use trueup_numerics::blocks::MIN_CORRELATION_TIMES_PER_BLOCK;
 
 use crate::{
-    data::{DataTable, Groups, KnownColumn},
+    data::{DataTable, KnownColumn, RowGroups},
     model::Model,
 };
 
@@ -43,7 +43,7 @@ const MAX_THERMOMETER_LAG_S: f64 = 900.0;
 
 /// The share of the longest series by which the prediction, or a thermometer, may be late. Rows shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
-const MAX_SHIFT_SHARE: f64 = 0.1;
+const MAX_TIME_SHIFT_SHARE: f64 = 0.1;
 /// The longest, in records: of one that is longer less than a third is in the record.
 const MAX_TIME_CONSTANT_RECORDS: f64 = 3.0;
 /// The longest period, in travels: a wave that turns less than one and a half times is a curve.
@@ -51,10 +51,10 @@ const MAX_PERIOD_TRAVELS: f64 = 0.7;
 /// The same in time, in records: what comes and goes less than two and a half times is a slow law of something.
 const MAX_PERIOD_RECORDS: f64 = 0.4;
 /// Heat that cools this many times faster or slower than it warms is not the same heat.
-pub(super) const MAX_COOLING_RATIO: f64 = 5.0;
+pub(super) const MAX_COOLING_TIME_CONSTANT_RATIO: f64 = 5.0;
 
 /// Returns the bounds of a fit to the `groups` of `data`.
-pub(super) fn compute_bounds(data: &DataTable, groups: &Groups) -> ParameterBounds {
+pub(super) fn compute_bounds(data: &DataTable, groups: &RowGroups) -> ParameterBounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
         values
             .filter(|value| value.is_finite())
@@ -83,8 +83,8 @@ pub(super) fn compute_bounds(data: &DataTable, groups: &Groups) -> ParameterBoun
     let step_s =
         longest_s * data.setting.files.len() as f64 / (data.recorded_row_count() as f64).max(2.0);
     // Of a shorter one less than a hundredth is left after a row.
-    let fastest_s = (step_s / MIN_CORRELATION_TIMES_PER_BLOCK).max(data.min_lag_s());
-    let own = data.own_position();
+    let fastest_s = (step_s / MIN_CORRELATION_TIMES_PER_BLOCK).max(data.min_resolved_lag_s());
+    let own = data.own_position_mm();
     let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
     let prediction = Model::default().predict(data);
     let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
@@ -93,12 +93,12 @@ pub(super) fn compute_bounds(data: &DataTable, groups: &Groups) -> ParameterBoun
         longest_s,
         time_s,
         step_s,
-        late_s: [fastest_s, (MAX_SHIFT_SHARE * longest_s).min(MAX_THERMOMETER_LAG_S)],
+        late_s: [fastest_s, (MAX_TIME_SHIFT_SHARE * longest_s).min(MAX_THERMOMETER_LAG_S)],
         shift_s: {
             let states_early =
                 data.setting.stated.iter().any(|stated| stated.effect.time_shift_s() < 0.0);
             let has_early = data.columns[KnownColumn::GaugeTime].is_some() || states_early;
-            let most_s = MAX_SHIFT_SHARE * longest_s;
+            let most_s = MAX_TIME_SHIFT_SHARE * longest_s;
             [if has_early { -most_s } else { 0.0 }, most_s]
         },
         travel_mm: range[1] - range[0],

@@ -44,10 +44,11 @@ impl CacheKey {
 
 impl PartialEq for CacheKey {
     fn eq(&self, other: &Self) -> bool {
-        fn bits(part: &ModelPart) -> impl Iterator<Item = u64> {
+        fn value_bits(part: &ModelPart) -> impl Iterator<Item = u64> {
             part.values.iter().map(|value| value.to_bits())
         }
-        let is_equal = |(a, b): (&ModelPart, &ModelPart)| bits(a).eq(bits(b)) && a.kind == b.kind;
+        let is_equal =
+            |(a, b): (&ModelPart, &ModelPart)| value_bits(a).eq(value_bits(b)) && a.kind == b.kind;
         let (own, others) = (&self.parts, &other.parts);
         self.constant == other.constant
             && own.len() == others.len()

@@ -10,7 +10,7 @@ use super::{
     jacobian::{ParameterIndex, jacobian},
     problem::FitProblem,
     solve::FittedModel,
-    undetermined::{find_substitutes, retain_by_mask},
+    undetermined::{find_parameter_substitutions, retain_by_mask},
 };
 
 /// The covariance of the fitted values, under noise of this memory: of logarithmic ones that of the
@@ -48,7 +48,7 @@ pub(crate) fn parameter_covariance(
     noise: NoiseModel,
 ) -> ParameterCovariance {
     let (mut parameters, mut columns) = jacobian(problem, &fitted.model);
-    let substitutes = find_substitutes(&fitted.model, &parameters, &columns, None);
+    let substitutes = find_parameter_substitutions(&fitted.model, &parameters, &columns, None);
     let known: Vec<bool> = parameters
         .iter()
         .map(|at| {

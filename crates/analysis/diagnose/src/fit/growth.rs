@@ -6,7 +6,7 @@ use std::{collections::VecDeque, sync::Arc};
 use trueup_machine::effect::ThermometerDelay;
 
 use crate::{
-    data::{DataTable, Groups},
+    data::{DataTable, RowGroups},
     machine_laws::ThermalGrowth,
 };
 
@@ -52,7 +52,7 @@ impl GrowthCache {
     pub(super) fn invariant_columns(
         &mut self,
         data: &DataTable,
-        groups: &Groups,
+        groups: &RowGroups,
     ) -> Arc<InvariantColumns> {
         let make = || {
             Arc::new(InvariantColumns {
@@ -64,7 +64,7 @@ impl GrowthCache {
         self.still.get_or_insert_with(make).clone()
     }
 
-    pub(super) fn cached_growth(&self, growth: &ThermalGrowth<'_>) -> Option<Arc<Vec<f64>>> {
+    pub(super) fn cached_temperature(&self, growth: &ThermalGrowth<'_>) -> Option<Arc<Vec<f64>>> {
         let asked = (growth.late, growth.lags_s);
         let found = self.warm.iter().rev().find(|(there, _)| *there == asked);
         found.map(|(_, warm)| warm.clone())
@@ -82,13 +82,13 @@ impl GrowthCache {
 pub(super) fn group_temperature(
     growth: &ThermalGrowth<'_>,
     data: &DataTable,
-    groups: &Groups,
+    groups: &RowGroups,
 ) -> Vec<f64> {
     project_to_quantity(&growth.lagged_temperature_c(data), data, groups)
 }
 
 /// As much of a column of the elongation as is in the quantity, in groups.
-fn project_to_quantity(values: &[f64], data: &DataTable, groups: &Groups) -> Vec<f64> {
+fn project_to_quantity(values: &[f64], data: &DataTable, groups: &RowGroups) -> Vec<f64> {
     if data.predicted.along.iter().all(|&along| along == 1.0) {
         return groups.means(values);
     }

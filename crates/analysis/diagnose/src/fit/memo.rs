@@ -16,7 +16,7 @@ type MemoValue = Arc<dyn Any + Send + Sync>;
 
 /// The results, of any type.
 #[derive(Debug, Default)]
-pub(super) struct Memo(Mutex<MemoStore>);
+pub(super) struct MemoTable(Mutex<MemoStore>);
 
 #[derive(Debug, Default)]
 struct MemoStore {
@@ -25,7 +25,7 @@ struct MemoStore {
     order: VecDeque<Arc<MemoKey>>,
 }
 
-impl Memo {
+impl MemoTable {
     /// Nothing is known any more.
     pub(super) fn clear(&self) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = MemoStore::default();
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn what_was_found_is_not_looked_for_again_but_for_another_question_or_model() {
-        let (memo, made) = (Memo::default(), Cell::new(0));
+        let (memo, made) = (MemoTable::default(), Cell::new(0));
         let model = |column: &str, value: f64, constant_um: Option<f64>| {
             let kind = TermKind::heat_of(column, true);
             Model { parts: vec![ModelPart { kind, values: vec![value, 1.0] }], constant_um }

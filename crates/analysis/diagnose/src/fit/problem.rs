@@ -10,14 +10,14 @@ use trueup_numerics::blocks::SEGMENT_COUNT;
 
 use super::{
     CONFIDENCE_LEVEL,
-    bounds::{MAX_COOLING_RATIO, ParameterBounds, compute_bounds},
+    bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
     cache::{CacheKey, ColumnCache, GroupColumns},
     growth,
-    memo::Memo,
+    memo::MemoTable,
 };
 use crate::{
     columns::basis_columns,
-    data::{DataTable, Groups},
+    data::{DataTable, RowGroups},
     machine_laws::MachineLaws,
     model::{Model, shift_prediction},
     term_kind::{ModelPart, TermKind},
@@ -26,13 +26,13 @@ use crate::{
 /// Data, and its groups of rows.
 pub(crate) struct FitProblem {
     pub data: Arc<DataTable>,
-    pub groups: Groups,
+    pub groups: RowGroups,
     /// The measured values, in groups.
     pub measured: Vec<f64>,
     /// Bounds that a value must keep, from the extent of the data.
     pub bounds: ParameterBounds,
     cache: Mutex<ColumnCache>,
-    memo: Memo,
+    memo: MemoTable,
 }
 
 impl FitProblem {
@@ -44,11 +44,11 @@ impl FitProblem {
         self.groups.len() >= Self::MIN_PARALLEL_GROUPS
     }
 
-    pub(crate) fn new(data: impl Into<Arc<DataTable>>, groups: Groups) -> Self {
+    pub(crate) fn new(data: impl Into<Arc<DataTable>>, groups: RowGroups) -> Self {
         let data = data.into();
         let measured = groups.means(&data.measured);
         let bounds = compute_bounds(&data, &groups);
-        Self { data, groups, measured, bounds, cache: Mutex::default(), memo: Memo::default() }
+        Self { data, groups, measured, bounds, cache: Mutex::default(), memo: MemoTable::default() }
     }
 
     /// Returns what an added part of these nonlinear values adds at each amplitude of 1, in groups. `constrain_values`:
@@ -112,7 +112,7 @@ impl FitProblem {
         }
         let (added, law): (Vec<&ModelPart>, Vec<&ModelPart>) =
             model.parts.iter().partition(|part| part.kind.is_additive());
-        let mut sum = self.predict_law(&law)[0].clone();
+        let mut sum = self.predict_nonadditive_parts(&law)[0].clone();
         for part in added {
             let (nonlinear, amplitudes) =
                 part.values.split_at(part.kind.nonlinear_parameters().len());
@@ -127,7 +127,7 @@ impl FitProblem {
     }
 
     /// Returns what the model predicts with these parts alone, which are not only added: one column.
-    fn predict_law(&self, law: &[&ModelPart]) -> GroupColumns {
+    fn predict_nonadditive_parts(&self, law: &[&ModelPart]) -> GroupColumns {
         let key = CacheKey::from_parts(law);
         if let Some(known) = self.lock_cache().get(&key) {
             return known;
@@ -147,7 +147,8 @@ impl FitProblem {
         let (corrects, multiplies): (Vec<&ModelPart>, Vec<&ModelPart>) =
             law.parts.iter().partition(|part| part.kind.corrects_constants());
         let factor = |part: &&ModelPart| {
-            let is_of_growth = part.kind.is_factor() && part.kind.affects_elongation(&self.data);
+            let is_of_growth =
+                part.kind.is_multiplicative() && part.kind.affects_elongation(&self.data);
             let cause = part.kind.cause().filter(|_| is_of_growth)?;
             Some(1.0 + cause.evaluate_at(&part.values, &[1.0]))
         };
@@ -164,7 +165,7 @@ impl FitProblem {
         }
         let laws = MachineLaws::with_corrections(&self.data, &law.parts);
         let growth = laws.growth(&self.data)?;
-        let known = self.lock_cache().grown.cached_growth(&growth);
+        let known = self.lock_cache().grown.cached_temperature(&growth);
         let warm = known.unwrap_or_else(|| {
             let warm = Arc::new(growth::group_temperature(&growth, &self.data, &self.groups));
             self.lock_cache().grown.insert(&growth, &warm);
@@ -201,7 +202,7 @@ impl FitProblem {
             measured,
             bounds: self.bounds,
             cache: Mutex::default(),
-            memo: Memo::default(),
+            memo: MemoTable::default(),
         }
     }
 
@@ -291,7 +292,13 @@ impl FitProblem {
                     }
                     NonlinearParameter::FallingTimeConstant => {
                         if let Some(rise_s) = rise_s {
-                            held(value, [rise_s / MAX_COOLING_RATIO, MAX_COOLING_RATIO * rise_s]);
+                            held(
+                                value,
+                                [
+                                    rise_s / MAX_COOLING_TIME_CONSTANT_RATIO,
+                                    MAX_COOLING_TIME_CONSTANT_RATIO * rise_s,
+                                ],
+                            );
                         }
                         held(value, self.bounds.time_constant_s);
                     }
@@ -344,8 +351,8 @@ mod tests {
         let machine = MachineFile::parse(&file, Path::new("m.toml")).expect("a machine file");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let data = DataTable::new(&machine, &[run], Quantity::Elongation).expect("comparable");
-        assert!(data.other_columns().is_empty(), "the gauge's clock explains nothing");
-        let groups = Groups::new(&data, &data.used.clone(), 12);
+        assert!(data.unknown_columns().is_empty(), "the gauge's clock explains nothing");
+        let groups = RowGroups::new(&data, &data.used.clone(), 12);
         FitProblem::new(data, groups).bounds.shift_s
     }
 
@@ -376,7 +383,7 @@ mod tests {
         let data = DataTable::new(&machine, &[run], Quantity::Elongation).expect("comparable");
         let mut part = ModelPart::from_stated_term(&data.setting.stated[0]);
         part.values[0] = 20.0;
-        let groups = Groups::new(&data, &data.used.clone(), 1);
+        let groups = RowGroups::new(&data, &data.used.clone(), 1);
         let problem = FitProblem::new(data, groups);
         let mut model = Model { parts: vec![part], constant_um: None };
         problem.constrain_values(&mut model);
@@ -400,7 +407,7 @@ mod tests {
         for quantity in [Quantity::Elongation, Quantity::Dz] {
             let data =
                 DataTable::new(&machine, std::slice::from_ref(&run), quantity).expect("comparable");
-            let groups = Groups::new(&data, &data.used.clone(), 6);
+            let groups = RowGroups::new(&data, &data.used.clone(), 6);
             let problem = FitProblem::new(data, groups);
             let possible_candidates =
                 simple_candidates(&problem, &Model::default(), &problem.measured);

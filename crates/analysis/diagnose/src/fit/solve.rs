@@ -5,7 +5,7 @@ use trueup_numerics::least_squares::normal::{dot, solve};
 use super::{
     jacobian::{ParameterIndex, jacobian},
     problem::FitProblem,
-    undetermined::{apply_substitutes, find_substitutes, retain_by_mask},
+    undetermined::{apply_parameter_substitutions, find_parameter_substitutions, retain_by_mask},
 };
 use crate::model::Model;
 
@@ -57,9 +57,9 @@ fn fit_uncached(problem: &FitProblem, model: &Model, mask: Option<&[bool]>) -> F
     let mut degrees = 0;
     for _ in 0..if is_linear { 1 } else { iterations } {
         let (mut parameters, mut columns) = jacobian(problem, &model);
-        let substitutes = find_substitutes(&model, &parameters, &columns, mask);
+        let substitutes = find_parameter_substitutions(&model, &parameters, &columns, mask);
         if !substitutes.is_empty() {
-            apply_substitutes(&mut model, &substitutes);
+            apply_parameter_substitutions(&mut model, &substitutes);
             residual = problem.residual(&model);
             sum = masked(&residual);
         }
@@ -96,7 +96,7 @@ fn fit_uncached(problem: &FitProblem, model: &Model, mask: Option<&[bool]>) -> F
                     }
                 }
             }
-            apply_substitutes(&mut moved, &substitutes);
+            apply_parameter_substitutions(&mut moved, &substitutes);
             problem.constrain_values(&mut moved);
             let there = problem.residual(&moved);
             let there_sum = masked(&there);
@@ -130,7 +130,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        data::{DataTable, Groups},
+        data::{DataTable, RowGroups},
         term_kind::{ModelPart, TermKind},
     };
 
@@ -150,7 +150,7 @@ mod tests {
         let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let data = DataTable::new(&machine, &[run], Quantity::Dx).expect("comparable");
-        let groups = Groups::new(&data, &data.used.clone(), 1);
+        let groups = RowGroups::new(&data, &data.used.clone(), 1);
         let problem = FitProblem::new(data, groups);
         let table = PitchErrorTable {
             start_mm: 0.0,

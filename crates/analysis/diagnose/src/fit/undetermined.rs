@@ -7,7 +7,7 @@ use crate::model::Model;
 
 /// A value of a list that nothing determines, and the one of the same list that stands for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Substitute {
+pub(super) struct ParameterSubstitution {
     pub part: usize,
     pub value: usize,
     pub by: usize,
@@ -17,12 +17,12 @@ pub(super) struct Substitute {
 /// hardly ever more than 0, because the axis was hardly ever there. Fitted to the hundredth of a
 /// reading such a value would be anything, and wrong by as much where it is needed. The nearest
 /// value that is determined stands for it.
-pub(super) fn find_substitutes(
+pub(super) fn find_parameter_substitutions(
     model: &Model,
     parameters: &[ParameterIndex],
     columns: &[Vec<f64>],
     mask: Option<&[bool]>,
-) -> Vec<Substitute> {
+) -> Vec<ParameterSubstitution> {
     let squares = |column: &Vec<f64>| match mask {
         None => dot(column, column),
         Some(mask) => column.iter().zip(mask).filter(|(_, used)| **used).map(|(c, _)| c * c).sum(),
@@ -41,7 +41,7 @@ pub(super) fn find_substitutes(
             for n in (0..own.len()).filter(|n| !is_known(n)) {
                 let nearest = (0..own.len()).filter(is_known).min_by_key(|there| there.abs_diff(n));
                 if let Some(nearest) = nearest {
-                    all.push(Substitute { part, value: start + n, by: start + nearest });
+                    all.push(ParameterSubstitution { part, value: start + n, by: start + nearest });
                 }
             }
         }
@@ -49,7 +49,7 @@ pub(super) fn find_substitutes(
     all
 }
 
-pub(super) fn apply_substitutes(model: &mut Model, all: &[Substitute]) {
+pub(super) fn apply_parameter_substitutions(model: &mut Model, all: &[ParameterSubstitution]) {
     for it in all {
         let values = &mut model.parts[it.part].values;
         values[it.value] = values[it.by];

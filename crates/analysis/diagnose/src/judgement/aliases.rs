@@ -12,7 +12,7 @@ use crate::{
     judgement::context::JudgementContext,
     parameters::ParameterEstimates,
     periodogram,
-    search::criterion::STRONG_EVIDENCE_BIC,
+    search::criterion::STRONG_EVIDENCE_BIC_DIFFERENCE,
     term_kind::ModelPart,
 };
 
@@ -30,7 +30,7 @@ pub(crate) fn find_aliases(
     without: &FittedModel,
     estimates: &ParameterEstimates,
 ) -> Vec<f64> {
-    let mut found = if part.kind.is_wave() {
+    let mut found = if part.kind.has_spatial_period() {
         find_alias_periods(case, part, without)
     } else if part.kind.has_time_constant() && part.kind.is_logarithmic(0) {
         find_alias_time_constants(case, part, estimates)
@@ -48,7 +48,7 @@ fn find_alias_periods(
     without: &FittedModel,
 ) -> Vec<f64> {
     let problem = case.problem;
-    let Some(position) = problem.data.own_position() else { return Vec::new() };
+    let Some(position) = problem.data.own_position_mm() else { return Vec::new() };
     let at = problem.groups.means(&forward_fill(position));
     let travel_mm = problem.bounds.travel_mm;
     let (_, others) = jacobian(problem, &without.model);
@@ -67,12 +67,14 @@ fn find_alias_periods(
     let is_apart = |a: f64, b: f64| (1.0 / a - 1.0 / b).abs() > 1.0 / travel_mm;
     let own = left(part.values[0]);
     let mut found: Vec<(f64, f64)> = Vec::new();
-    for frequency in periodogram::spectral_peaks(&at, &without.residual, MAX_SPECTRUM_PEAKS) {
+    for frequency in
+        periodogram::spectral_peak_frequencies(&at, &without.residual, MAX_SPECTRUM_PEAKS)
+    {
         let period_mm = 1.0 / frequency;
         let is_new = found.iter().all(|(there, _)| is_apart(period_mm, *there));
         if is_new && is_apart(period_mm, part.values[0]) {
             let gap = case.bic_difference(&own, &left(period_mm));
-            if gap < STRONG_EVIDENCE_BIC {
+            if gap < STRONG_EVIDENCE_BIC_DIFFERENCE {
                 found.push((period_mm, gap));
             }
         }
@@ -111,7 +113,7 @@ fn find_alias_time_constants(
         if is_outside(s)
             && is_apart(part.values[0])
             && found.iter().all(|other| is_apart(*other))
-            && case.bic_gap(&there) < STRONG_EVIDENCE_BIC
+            && case.bic_gap(&there) < STRONG_EVIDENCE_BIC_DIFFERENCE
         {
             found.push(s);
         }

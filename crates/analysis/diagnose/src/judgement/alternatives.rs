@@ -7,7 +7,7 @@ use crate::{
     judgement::context::JudgementContext,
     model::Model,
     search::{
-        criterion::{MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC, degrees_of_freedom},
+        criterion::{MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, degrees_of_freedom},
         extension::{Extension, Replacements},
     },
     term_kind::TermKind,
@@ -16,10 +16,10 @@ use crate::{
 /// Most rivals of a term.
 const MAX_ALTERNATIVES: usize = 6;
 /// Share of what a term does (RMS) that a rival, or a factor of the CNC, may miss and still imitate it.
-pub(crate) const MAX_IMITATION_ERROR: f64 = 0.05;
+pub(crate) const MAX_RELATIVE_IMITATION_ERROR: f64 = 0.05;
 
 /// Another cause in a term's place, or the same by another column.
-pub(crate) struct AlternativeCause {
+pub(crate) struct FittedAlternative {
     pub cause: TermKind,
     pub fitted: FittedModel,
     /// How much worse its BIC is.
@@ -28,7 +28,7 @@ pub(crate) struct AlternativeCause {
     foresees_as_well: bool,
 }
 
-impl AlternativeCause {
+impl FittedAlternative {
     /// Returns whether it is another cause or depends on another column. A second path of the heat by which a path
     /// of the machine file goes is that path, changed.
     pub(crate) fn differs_from(&self, cause: &TermKind) -> bool {
@@ -39,8 +39,8 @@ impl AlternativeCause {
 
     /// Returns whether the data cannot distinguish it from `cause`. Of two correlated columns both may predict
     /// what was held out, however narrow the intervals are.
-    pub(crate) fn is_indistinguishable(&self, cause: &TermKind) -> bool {
-        let is_near = self.bic_gap < STRONG_EVIDENCE_BIC;
+    pub(crate) fn is_indistinguishable_from(&self, cause: &TermKind) -> bool {
+        let is_near = self.bic_gap < STRONG_EVIDENCE_BIC_DIFFERENCE;
         self.differs_from(cause)
             && (is_near || self.foresees_as_well && self.cause.name() == cause.name())
     }
@@ -51,8 +51,8 @@ pub(crate) fn find_alternatives(
     case: &JudgementContext<'_>,
     cause: &TermKind,
     places: Replacements,
-) -> Vec<AlternativeCause> {
-    let mut all: Vec<AlternativeCause> = Vec::new();
+) -> Vec<FittedAlternative> {
+    let mut all: Vec<FittedAlternative> = Vec::new();
     for Extension { cause: other, fitted, .. } in places.instead {
         let is_same = |a: &TermKind, b: &TermKind| a.name() == b.name() && a.column() == b.column();
         if is_same(&other, cause) {
@@ -60,7 +60,7 @@ pub(crate) fn find_alternatives(
         }
         let bic_gap = case.bic_gap(&fitted);
         let mut bic_gap = bic_gap;
-        let is_near = bic_gap < STRONG_EVIDENCE_BIC;
+        let is_near = bic_gap < STRONG_EVIDENCE_BIC_DIFFERENCE;
         let mut foresees_as_well = false;
         if is_near || other.name() == cause.name() {
             let left_out = case.held_out_residuals(&fitted);
@@ -69,10 +69,10 @@ pub(crate) fn find_alternatives(
             // What predicts held-out blocks clearly worse does not explain as well, whatever it fits.
             let is_worse = rms(&left_out) > MAX_EQUIVALENT_RMS_RATIO * case.left_out_um;
             if is_near && is_worse && paired.is_significant() {
-                bic_gap = STRONG_EVIDENCE_BIC;
+                bic_gap = STRONG_EVIDENCE_BIC_DIFFERENCE;
             }
         }
-        let rival = AlternativeCause { cause: other, fitted, bic_gap, foresees_as_well };
+        let rival = FittedAlternative { cause: other, fitted, bic_gap, foresees_as_well };
         match all.iter_mut().find(|there| is_same(&there.cause, &rival.cause)) {
             Some(there) if there.bic_gap > bic_gap => *there = rival,
             Some(_) => {}
@@ -80,7 +80,8 @@ pub(crate) fn find_alternatives(
         }
     }
     all.retain(|rival| {
-        !rival.is_indistinguishable(cause) || !can_imitate(case, &places.without, &rival.fitted)
+        !rival.is_indistinguishable_from(cause)
+            || !can_imitate(case, &places.without, &rival.fitted)
     });
     all.sort_by(|a, b| a.bic_gap.total_cmp(&b.bic_gap));
     all.truncate(MAX_ALTERNATIVES);
@@ -111,15 +112,16 @@ pub(super) fn can_imitate(
             part.values[0] = 2.0 * low;
         }
     }
-    let is_near =
-        |model: &Model| fit(&problem, model, None).rms() < MAX_IMITATION_ERROR * rms(&effect);
+    let is_near = |model: &Model| {
+        fit(&problem, model, None).rms() < MAX_RELATIVE_IMITATION_ERROR * rms(&effect)
+    };
     is_near(&rival.model) || quick != rival.model && is_near(&quick)
 }
 
 /// Returns whether all open rivals predict the same as the answer, within what is left anyway.
 pub(crate) fn have_equal_predictions(
     case: &JudgementContext<'_>,
-    open: &[&AlternativeCause],
+    open: &[&FittedAlternative],
 ) -> bool {
     let data = &case.problem.data;
     let here = case.found.fitted.model.predict(data);

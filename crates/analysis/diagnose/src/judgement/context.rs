@@ -5,7 +5,7 @@ use trueup_numerics::blocks::{PairedComparison, rms};
 use crate::{
     fit::{FitProblem, FittedModel},
     folds::Folds,
-    gain::Gain,
+    gain::TermGain,
     model::Model,
     search::{
         SearchOutcome,
@@ -27,7 +27,8 @@ pub(crate) struct JudgementContext<'c> {
 
 impl<'c> JudgementContext<'c> {
     pub(crate) fn new(problem: &'c FitProblem, found: &'c SearchOutcome) -> Self {
-        let (left_out, folded) = found.folds.held_out_fits(problem, &found.fitted.model);
+        let (left_out, folded) =
+            found.folds.held_out_residuals_and_models(problem, &found.fitted.model);
         Self { problem, found, left_out_um: rms(&left_out), left_out, folded }
     }
 
@@ -68,9 +69,9 @@ impl<'c> JudgementContext<'c> {
 
     /// Returns what the answer brings against `without`, which lacks a term and leaves `before` on held-out
     /// blocks.
-    pub(crate) fn gain(&self, without: &FittedModel, before: &[f64]) -> Gain {
+    pub(crate) fn term_gain(&self, without: &FittedModel, before: &[f64]) -> TermGain {
         let reduction = self.folds().rms_reduction(before, &self.left_out);
         let rms_um = [without.rms(), self.found.fitted.rms()];
-        Gain::new(rms_um, [before, &self.left_out], &reduction)
+        TermGain::new(rms_um, [before, &self.left_out], &reduction)
     }
 }

@@ -4,7 +4,8 @@ use trueup_machine::effect::Effect;
 
 use crate::{
     columns::column_by_name, data::DataTable, judgement::context::JudgementContext,
-    model::DISTINCT_RATE_RATIO, search::criterion::MAX_EQUIVALENT_RMS_RATIO, term_kind::TermKind,
+    model::MIN_DISTINCT_RATE_RATIO, search::criterion::MAX_EQUIVALENT_RMS_RATIO,
+    term_kind::TermKind,
 };
 
 /// A term with a time constant is identified if the model leaves at most this many times the RMS of the fitted data where it
@@ -38,7 +39,7 @@ fn has_stable_time_constant(case: &JudgementContext<'_>, cause: &TermKind) -> bo
         .filter_map(|model| model.parts.iter().find(|part| part.kind == *cause))
         .map(|part| part.values[0])
         .fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-    high <= DISTINCT_RATE_RATIO * low || case.problem.is_time_constant_short(high)
+    high <= MIN_DISTINCT_RATE_RATIO * low || case.problem.is_time_constant_short(high)
 }
 
 /// Returns whether a slow path of a column was seen more than once: over one heating and one cooling, whatever

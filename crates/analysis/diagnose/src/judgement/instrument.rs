@@ -16,14 +16,14 @@ pub(super) fn insufficient_table(
     part: &ModelPart,
 ) -> Option<TermKind> {
     let &[constant_mm, origin_mm, ..] = part.values.as_slice() else { return None };
-    if !part.kind.is_of_instrument() || part.kind.column().is_some() {
+    if !part.kind.is_instrument_error() || part.kind.column().is_some() {
         return None;
     }
     let parts = case.found.fitted.model.parts.iter();
     let (points, table) =
         parts.filter_map(|part| Some((part.kind.list_length()?, &part.kind))).next()?;
     let data = &case.problem.data;
-    let position = data.own_position()?;
+    let position = data.own_position_mm()?;
     let rows = (0..data.rows).filter(|&row| data.used[row]);
     let mut turns: Vec<f64> = rows.map(|row| constant_mm / (position[row] + origin_mm)).collect();
     turns.retain(|turn| turn.is_finite());

@@ -21,7 +21,7 @@ use crate::{
     judgement::context::JudgementContext,
     machine_laws::MachineLaws,
     search::{
-        criterion::{MAJORITY_SHARE, STRONG_EVIDENCE_BIC},
+        criterion::{MAJORITY_SHARE, STRONG_EVIDENCE_BIC_DIFFERENCE},
         extension::{Extension, centred_effect, fit_single_cause_extensions},
     },
     term_kind::{ModelPart, TermKind},
@@ -36,7 +36,7 @@ const SECOND_TIME_CONSTANT_RATIOS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 const SETTLING_TIME_CONSTANTS: f64 = 2.0;
 
 /// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
-pub(crate) fn covering_law(
+pub(crate) fn confounding_law(
     case: &JudgementContext<'_>,
     part: &ModelPart,
     without: &FittedModel,
@@ -45,7 +45,8 @@ pub(crate) fn covering_law(
     let is_plain = kind
         .cause()
         .is_some_and(|cause| cause.is_constant() || kind.is_additive() && cause.depends_on_time());
-    if is_plain || kind.list_length().is_some() || kind.is_of_instrument() || kind.has_instant() {
+    if is_plain || kind.list_length().is_some() || kind.is_instrument_error() || kind.has_instant()
+    {
         return None;
     }
     let is_of_heat = kind.heat_path().is_some() || !kind.is_additive();
@@ -56,7 +57,8 @@ pub(crate) fn covering_law(
     let law = laws.find(|law| {
         is_of_heat && is_explained_by_law(case, law, without)
             || !kind.has_time_constant()
-                && (is_second_body(case, law, without) || is_initial_transient(case, law, without))
+                && (is_explained_by_second_body(case, law, without)
+                    || is_initial_transient(case, law, without))
     });
     law.map(|law| law.kind.clone())
 }
@@ -74,7 +76,7 @@ pub(crate) fn initial_state_law(case: &JudgementContext<'_>, part: &ModelPart) -
     };
     let is_late = |cause: &TermKind| cause.heat_path().is_some_and(|path| path.has_lag);
     let is_rival = |extension: &Extension| {
-        case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC
+        case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC_DIFFERENCE
             && !case.paired_comparison(&case.held_out_residuals(&extension.fitted)).is_better()
     };
     begins(answer).or_else(|| {
@@ -100,7 +102,11 @@ fn is_explained_by_law(
 }
 
 /// Returns whether a second body behind `law` does as well as the term that `without` lacks.
-fn is_second_body(case: &JudgementContext<'_>, law: &ModelPart, without: &FittedModel) -> bool {
+fn is_explained_by_second_body(
+    case: &JudgementContext<'_>,
+    law: &ModelPart,
+    without: &FittedModel,
+) -> bool {
     let problem = case.problem;
     let price = (problem.groups.len() as f64).ln();
     let column = law.kind.heat_path().map(|path| path.column);
@@ -109,7 +115,7 @@ fn is_second_body(case: &JudgementContext<'_>, law: &ModelPart, without: &Fitted
         let late = MachineLaws::with_thermometer_lag(&problem.data, column, late_s);
         let late = FitProblem::new(late, problem.groups.clone());
         let there = fit(&late, &without.model, None);
-        case.bic_gap(&there) + price < STRONG_EVIDENCE_BIC
+        case.bic_gap(&there) + price < STRONG_EVIDENCE_BIC_DIFFERENCE
     })
 }
 
@@ -146,5 +152,6 @@ fn is_initial_transient(
     let [with, without_it] = [&found.fitted, without].map(squares);
     let independent = (left * noise::effective_sample_size(found.noise, &groups.steps)).max(3.0);
     let values = found.fitted.degrees.saturating_sub(without.degrees).max(1) as f64;
-    independent * (without_it / with).ln() - values * independent.ln() < STRONG_EVIDENCE_BIC
+    independent * (without_it / with).ln() - values * independent.ln()
+        < STRONG_EVIDENCE_BIC_DIFFERENCE
 }

@@ -65,12 +65,12 @@ use trueup_numerics::parallel::parallel_map;
 use crate::search::smoothing::is_only_smoothing;
 use crate::{
     fit::{FitProblem, FittedModel, fit, largest_half_difference},
-    gain::Gain,
+    gain::TermGain,
     model::Model,
     parameters::{ParameterEstimates, estimate_parameters},
     search::{
         AddedTerm, SearchOutcome,
-        criterion::{STRONG_EVIDENCE_BIC, bic},
+        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         extension::{fit_replacements, without_term},
         interaction::single_term_replacements,
         lack_of_fit::CurveInputs,
@@ -79,13 +79,13 @@ use crate::{
     term_kind::{ModelPart, TermKind},
 };
 use aliases::find_aliases;
-pub(crate) use alternatives::MAX_IMITATION_ERROR;
-use alternatives::{AlternativeCause, find_alternatives, have_equal_predictions};
+pub(crate) use alternatives::MAX_RELATIVE_IMITATION_ERROR;
+use alternatives::{FittedAlternative, find_alternatives, have_equal_predictions};
 pub(crate) use caveat::Caveat;
 use context::JudgementContext;
 use identifiability::is_identified;
 use instrument::insufficient_table;
-use lagged_law::{covering_law, initial_state_law};
+use lagged_law::{confounding_law, initial_state_law};
 use substitute_law::SubstituteCurves;
 use table::{InterpolationAccuracy, evaluate_repeats};
 use term_gain::{
@@ -94,7 +94,7 @@ use term_gain::{
 };
 
 /// A profile interval of 95 %: the quantile of χ² with one degree of freedom.
-const CHI_SQUARED_95: f64 = 3.84;
+const CHI_SQUARED_QUANTILE_95: f64 = 3.84;
 
 /// The judgement of one term.
 pub(crate) struct Judgement {
@@ -102,11 +102,11 @@ pub(crate) struct Judgement {
     /// Its values with their intervals, by name.
     pub parameters: Map<String, Value>,
     /// Its gain next to all other terms.
-    pub gain: Gain,
+    pub gain: TermGain,
     /// Its gain when it was added.
-    pub first_gain: Gain,
+    pub first_gain: TermGain,
     /// The best first.
-    pub rivals: Vec<AlternativeCause>,
+    pub rivals: Vec<FittedAlternative>,
     /// Of what acts in a range alone: where its bound may be, at 95 %.
     pub bound: Option<[f64; 2]>,
     /// Why its name is not claimed; empty: it is.
@@ -185,7 +185,7 @@ fn equivalent_single_law(case: &JudgementContext<'_>, cause: &TermKind) -> Optio
         alone.into_iter().filter(|extension| !case.found.fitted.model.contains(&extension.cause));
     let near = other.filter(|extension| {
         extension.cause.name() != cause.name()
-            && case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC
+            && case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC_DIFFERENCE
     });
     near.min_by(|a, b| a.bic.total_cmp(&b.bic)).map(|extension| extension.cause)
 }
@@ -200,9 +200,9 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgemen
     let rivals = find_alternatives(case, cause, places);
     let estimates = estimate_parameters(problem, &found.fitted, part, found.noise);
     let left_out_without = case.held_out_residuals(&without);
-    let gain = case.gain(&without, &left_out_without);
-    let open: Vec<&AlternativeCause> =
-        rivals.iter().filter(|rival| rival.is_indistinguishable(cause)).collect();
+    let gain = case.term_gain(&without, &left_out_without);
+    let open: Vec<&FittedAlternative> =
+        rivals.iter().filter(|rival| rival.is_indistinguishable_from(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Caveat::AlternativeCause(rival.cause.clone())));
     if doubts.is_empty() {
@@ -226,7 +226,7 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgemen
     // What may be nothing, or another wave between the places, is corrected only if it is predicted.
     let is_predicted = case.paired_comparison(&left_out_without).is_better();
     let is_alias_of_wave =
-        cause.is_wave() && doubts.iter().any(|doubt| matches!(doubt, Caveat::Alias(_)));
+        cause.has_spatial_period() && doubts.iter().any(|doubt| matches!(doubt, Caveat::Alias(_)));
     let is_kept = have_equal_predictions(case, &open)
         && !is_alias_of_wave
         && !doubts.contains(&Caveat::NotRepeated)
@@ -242,7 +242,7 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgemen
         doubts,
         between: repeat_evidence.and_then(|repeat_evidence| repeat_evidence.between),
         bound: range_bound::profile_interval(problem, &found.fitted, cause, |with| {
-            case.bic_gap(with) < CHI_SQUARED_95
+            case.bic_gap(with) < CHI_SQUARED_QUANTILE_95
         }),
         left_out_without,
     })
@@ -277,8 +277,8 @@ fn value_caveats(
     if is_only_smoothing(case.problem, case.folds(), part, &without.model, &case.left_out) {
         doubts.push(Caveat::OnlySmooths);
     }
-    doubts.extend(half_estimates(case, part).map(Caveat::HalvesDiffer));
-    doubts.extend(covering_law(case, part, without).map(Caveat::FormOf));
+    doubts.extend(differing_half_estimates(case, part).map(Caveat::HalvesDiffer));
+    doubts.extend(confounding_law(case, part, without).map(Caveat::FormOf));
     let aliases = find_aliases(case, part, without, estimates);
     if !aliases.is_empty() {
         doubts.push(Caveat::Alias(aliases));
@@ -298,7 +298,7 @@ fn residual_caveats(
     if !is_identified(case, cause, is_known) {
         doubts.push(Caveat::NotIdentified);
     }
-    doubts.extend(curves.substitute_curve(case, cause, without));
+    doubts.extend(curves.substitute_curve_caveat(case, cause, without));
     // Where a law without a name is left, it may be what the term stands for.
     if !case.found.lack_of_fit.is_empty() && !curves.is_needed_with_curves(case, without) {
         doubts.push(Caveat::NotNeeded);
@@ -307,9 +307,9 @@ fn residual_caveats(
 }
 
 /// Returns the value of a part that differs most between the halves of the record, in each.
-fn half_estimates(case: &JudgementContext<'_>, part: &ModelPart) -> Option<[f64; 2]> {
+fn differing_half_estimates(case: &JudgementContext<'_>, part: &ModelPart) -> Option<[f64; 2]> {
     let kind = &part.kind;
-    if kind.list_length().is_some() || kind.has_instant() || kind.is_of_instrument() {
+    if kind.list_length().is_some() || kind.has_instant() || kind.is_instrument_error() {
         return None;
     }
     let SearchOutcome { fitted, noise, folds, .. } = case.found;
@@ -381,10 +381,10 @@ fn drop_record_dependent_terms(judged: &mut [Judgement]) {
 /// with each of the rivals in the place of a term that cannot be distinguished from them.
 fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
     let problem = case.problem;
-    let is_needed = |cause: &TermKind, rival: &AlternativeCause| {
+    let is_needed = |cause: &TermKind, rival: &FittedAlternative| {
         let model = without_term(problem, &rival.fitted.model, cause);
         let without = fit(problem, &model, None);
-        bic(problem, &without) > bic(problem, &rival.fitted) + STRONG_EVIDENCE_BIC
+        bic(problem, &without) > bic(problem, &rival.fitted) + STRONG_EVIDENCE_BIC_DIFFERENCE
     };
     let mut doubts: Vec<(usize, TermKind)> = Vec::new();
     for (index, it) in
@@ -392,7 +392,7 @@ fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mu
     {
         let open = judged.iter().flat_map(|there| {
             let rivals =
-                there.rivals.iter().filter(|rival| rival.is_indistinguishable(there.cause()));
+                there.rivals.iter().filter(|rival| rival.is_indistinguishable_from(there.cause()));
             rivals.map(move |rival| (there.cause(), rival))
         });
         let mut open = open.filter(|(cause, _)| *cause != it.cause());
@@ -423,7 +423,7 @@ fn withdraw_terms_of_substitute_laws(case: &JudgementContext<'_>, judged: &mut [
         let bic = |model: &Model| curves.bic_with_curves(case, &fit(case.problem, model, None));
         let mut without = sound.clone();
         without.parts.retain(|part| part.kind != *it.cause());
-        if bic(&without) <= bic(&sound) + STRONG_EVIDENCE_BIC {
+        if bic(&without) <= bic(&sound) + STRONG_EVIDENCE_BIC_DIFFERENCE {
             it.doubts.push(Caveat::BesideOtherLaw);
         }
     }
@@ -434,7 +434,7 @@ mod tests {
     use super::*;
 
     fn judgement(doubts: Vec<Caveat>, is_kept: bool) -> Judgement {
-        let gain = Gain {
+        let gain = TermGain {
             rms_before_um: 2.0,
             rms_after_um: 1.0,
             left_out_before_um: 2.0,

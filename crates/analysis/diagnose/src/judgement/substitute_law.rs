@@ -4,14 +4,14 @@
 use trueup_numerics::repeats::MIN_R_SQUARED;
 
 use crate::{
-    candidates::{Candidate, curve_candidates},
-    columns::{MODEL_COLUMN, column_by_name},
+    candidates::{CandidateTerm, curve_candidates},
+    columns::{PREDICTED_ELONGATION_COLUMN, column_by_name},
     data::{DataTable, is_linearly_equivalent},
     fit::{FittedModel, fit},
     judgement::{alternatives::can_imitate, caveat::Caveat, context::JudgementContext},
     model::Model,
     search::{
-        criterion::{MAJORITY_SHARE, STRONG_EVIDENCE_BIC, bic},
+        criterion::{MAJORITY_SHARE, STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         extension::Extension,
         lack_of_fit::{CurveInputs, fit_single_curve_extensions, with_curves},
     },
@@ -20,7 +20,7 @@ use crate::{
 
 /// The curves that would be another law than a term's.
 pub(crate) struct SubstituteCurves {
-    candidates: Vec<Candidate>,
+    candidates: Vec<CandidateTerm>,
 }
 
 impl SubstituteCurves {
@@ -28,7 +28,7 @@ impl SubstituteCurves {
     /// description of the instrument's own error.
     pub(crate) fn new(case: &JudgementContext<'_>, cause: &TermKind) -> Self {
         let mut candidates = curve_candidates(case.problem);
-        if cause.is_of_instrument() {
+        if cause.is_instrument_error() {
             let data = &case.problem.data;
             candidates.retain(|curve| match &curve.kind {
                 TermKind::Curve(Curve { column, times: None, .. }) => {
@@ -53,12 +53,12 @@ impl SubstituteCurves {
     ) -> bool {
         let [with, in_place] =
             [&case.found.fitted, without].map(|fitted| self.bic_with_curves(case, fitted));
-        in_place > with + STRONG_EVIDENCE_BIC
+        in_place > with + STRONG_EVIDENCE_BIC_DIFFERENCE
     }
 
     /// Returns a curve that explains clearly more in the place of a term, or, of two values, as well; `without` lacks
     /// the term.
-    pub(crate) fn substitute_curve(
+    pub(crate) fn substitute_curve_caveat(
         &self,
         case: &JudgementContext<'_>,
         cause: &TermKind,
@@ -90,7 +90,7 @@ fn caveat_from_curve(
     is_shown: bool,
 ) -> Option<Caveat> {
     let answer = &case.found.fitted;
-    let is_better = curve.bic < case.bic() - STRONG_EVIDENCE_BIC;
+    let is_better = curve.bic < case.bic() - STRONG_EVIDENCE_BIC_DIFFERENCE;
     let explained = without.sum - answer.sum;
     let by_curve = without.sum - curve.fitted.sum;
     // Many values take a little of whatever there is; two scales of the model are a rival like any cause.
@@ -98,14 +98,14 @@ fn caveat_from_curve(
     if is_better && (is_rival || is_shown || explained <= MIN_R_SQUARED * by_curve) {
         return Some(Caveat::OtherLaw(inputs));
     }
-    let is_near = curve.bic < case.bic() + STRONG_EVIDENCE_BIC;
+    let is_near = curve.bic < case.bic() + STRONG_EVIDENCE_BIC_DIFFERENCE;
     (is_rival && is_near && !can_imitate(case, without, &curve.fitted))
         .then_some(Caveat::LawAsWell(inputs))
 }
 
 /// Returns whether it is another scale of what the model says from somewhere on.
 fn is_scale_change(kind: &TermKind) -> bool {
-    matches!(kind, TermKind::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(MODEL_COLUMN))
+    matches!(kind, TermKind::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(PREDICTED_ELONGATION_COLUMN))
 }
 
 /// `curve` with the term of `answer` next to it.
@@ -119,6 +119,6 @@ fn with_term(curve: &Model, answer: &Model, cause: &TermKind) -> Model {
 
 /// Returns whether a column is what the instrument reads.
 fn is_instrument_reading(data: &DataTable, column: &str) -> bool {
-    let reading = data.own_position().unwrap_or(&data.predicted.elongation);
+    let reading = data.own_position_mm().unwrap_or(&data.predicted.elongation);
     column_by_name(data, column).is_some_and(|column| is_linearly_equivalent(column, reading))
 }

@@ -62,7 +62,7 @@ pub(crate) fn evaluate_repeats(
     let trial = decision.law_test(law)?;
     let between = check_interpolation(&targets.at_mm, &readings, &none, law);
     Some(RepeatEvidence {
-        is_confirmed: trial.is_significant() && trial.has_gain(),
+        is_confirmed: trial.is_significant() && trial.has_gain_in_every_block(),
         between: between.map(|found| InterpolationAccuracy {
             found,
             axis: targets.own.name(),
@@ -98,7 +98,7 @@ impl InterpolationAccuracy {
             "the line between its neighbours misses a held-out point by {line:.1} µm RMS, no \
              table at all by {nothing:.1} µm"
         );
-        if !self.found.has_enough_places() {
+        if !self.found.has_enough_interior_positions() {
             return Some(format!(
                 "What it is worth between its points is not known: {inner} inner points are too few to show it ({figures})."
             ));

@@ -2,7 +2,7 @@
 
 use crate::{
     fit::fit,
-    gain::Gain,
+    gain::TermGain,
     judgement::context::JudgementContext,
     search::{
         extension::{centred_effect, effects_cancel, without_term},
@@ -27,7 +27,7 @@ pub(crate) fn gains_without_best_block(
 
 /// Returns whether the interval of what a term gains on held-out blocks includes zero, as that of its size must not.
 /// Tables and curves answer for themselves.
-pub(crate) fn gain_includes_zero(part: &ModelPart, gain: &Gain) -> bool {
+pub(crate) fn gain_includes_zero(part: &ModelPart, gain: &TermGain) -> bool {
     part.kind.list_length().is_none() && gain.ci95[0] <= 0.0
 }
 

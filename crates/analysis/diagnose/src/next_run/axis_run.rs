@@ -15,7 +15,7 @@ use trueup_machine::{
 };
 use trueup_numerics::robust::median;
 
-use super::{ReadingMethod, spindle_forecast::is_input};
+use super::{ReadingMethod, spindle_forecast::is_input_column};
 use crate::data::DataTable;
 
 /// How many targets; the ends are among them.
@@ -32,10 +32,10 @@ const DEFAULT_FEED_MM_PER_MIN: f64 = 1000.0;
 const OVERTRAVEL_SHARE: f64 = 0.05;
 const MAX_OVERTRAVEL_MM: f64 = 50.0;
 /// The warming of an axis, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
-const DEFAULT_WARMING_C: f64 = 5.0;
+const DEFAULT_TEMPERATURE_RISE_K: f64 = 5.0;
 const DEFAULT_WARMING_TIME_CONSTANT_S: f64 = 1200.0;
 /// A thermometer that has changed by less does not show it, in K.
-const MIN_TEMPERATURE_CHANGE_C: f64 = 1.0;
+const MIN_TEMPERATURE_CHANGE_K: f64 = 1.0;
 /// The targets are moved on by up to this share of their distance: no two stand on one phase of the screw.
 const MAX_TARGET_SHIFT_SHARE: f64 = 0.25;
 /// The golden ratio less 1.
@@ -166,7 +166,7 @@ impl AxisForecast {
         let mut names: Vec<String> = Vec::new();
         for column in runs.iter().flat_map(|run| run.columns()) {
             let is_known = [&position, "feed_mm_per_min"].contains(&column.name.as_str());
-            if !is_known && is_input(&column.name) && !names.contains(&column.name) {
+            if !is_known && is_input_column(&column.name) && !names.contains(&column.name) {
                 names.push(column.name.clone());
             }
         }
@@ -189,8 +189,11 @@ impl AxisForecast {
             let values = whole(name);
             let low = values.iter().copied().fold(f64::INFINITY, f64::min);
             let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let by =
-                if high - low >= MIN_TEMPERATURE_CHANGE_C { high - low } else { DEFAULT_WARMING_C };
+            let by = if high - low >= MIN_TEMPERATURE_CHANGE_K {
+                high - low
+            } else {
+                DEFAULT_TEMPERATURE_RISE_K
+            };
             ((*name).clone(), by)
         });
         let warms = warms.collect();
@@ -227,7 +230,7 @@ impl AxisForecast {
         };
         let mut all = Vec::new();
         for targets in TARGET_COUNTS {
-            let targets_mm = uneven_targets(low + over_mm, high - over_mm, targets);
+            let targets_mm = uneven_targets_mm(low + over_mm, high - over_mm, targets);
             for times in REPEAT_COUNTS {
                 for feeds in &feeds {
                     for (heat_min, cold, warm) in &heats {
@@ -311,13 +314,13 @@ impl AxisForecast {
         let run = RunFile::from_reader(text.as_bytes(), Path::new("next.csv")).ok()?;
         let mut table =
             DataTable::new(&training.setting.machine, &[run], training.setting.quantity).ok()?;
-        table.set_origin(training);
+        table.copy_origin_from(training);
         Some(table)
     }
 }
 
 /// This many targets from `low` to `high`, both among them, those between moved on unevenly; whole micrometres.
-fn uneven_targets(low: f64, high: f64, count: usize) -> Vec<f64> {
+fn uneven_targets_mm(low: f64, high: f64, count: usize) -> Vec<f64> {
     let step = (high - low) / (count - 1) as f64;
     let share = |n: usize| {
         let is_end = n == 0 || n + 1 == count;
@@ -359,7 +362,7 @@ mod tests {
         assert!((heated.duration_min() - (2.0 + 20.0 / 60.0 + 20.0)).abs() < 1e-9);
         assert_eq!((heated.targets_mm.clone(), heated.over_mm), (vec![150.0, 1050.0], 50.0));
         let table = foresight.forecast_table(heated, &training).expect("all is there");
-        let column = |name: &str| table.temperature(name).expect("there")[0];
+        let column = |name: &str| table.temperature_c(name).expect("there")[0];
         // 5 K in a time constant of twenty minutes: 21.5 + 5·(1 − 1/e), and it cools a little on the first way.
         let warm_c = column("temp_screw_c");
         assert!((warm_c - 24.66).abs() < 0.1 && column("temp_air_c") == 20.5, "{warm_c}");

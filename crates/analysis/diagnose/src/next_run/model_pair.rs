@@ -21,7 +21,7 @@ use trueup_numerics::{
 
 use super::ExpectedSeparation;
 use crate::{
-    data::{DataTable, Groups},
+    data::{DataTable, RowGroups},
     fit::{FitProblem, FittedModel, ParameterCovariance, jacobian, parameter_covariance},
     judgement::Judgement,
     model::Model,
@@ -61,7 +61,7 @@ pub(crate) struct Separation {
 
 /// Returns the open questions of what was `judged`, in its order: each cause that is not claimed, and the best that
 /// cannot be distinguished from it.
-pub(crate) fn find_open_questions(
+pub(crate) fn find_indistinguishable_pairs(
     problem: &FitProblem,
     found: &SearchOutcome,
     judged: &[Judgement],
@@ -71,7 +71,7 @@ pub(crate) fn find_open_questions(
             let rival = judgement
                 .rivals
                 .iter()
-                .find(|rival| rival.is_indistinguishable(judgement.cause()))?;
+                .find(|rival| rival.is_indistinguishable_from(judgement.cause()))?;
             let causes = [describe_cause(judgement.cause()), describe_cause(&rival.cause)];
             Some(ModelPair::new(problem, found, causes, rival.fitted.clone()))
         });
@@ -127,7 +127,7 @@ impl ModelPair {
         let [one, other] = [0, 1].map(|n| day.problem.predict(&self.sides[n].model));
         let apart: Vec<f64> = one.iter().zip(&other).map(|(one, other)| one - other).collect();
         let difference_um = apart.iter().fold(0.0, |most: f64, um| most.max(um.abs()));
-        let gaps = [0, 1].map(|n| self.quadratic_form(&self.sides[n], &day, &apart)[0]);
+        let gaps = [0, 1].map(|n| self.quadratic_form_and_log_det(&self.sides[n], &day, &apart)[0]);
         Separation { gap: f64::min(gaps[0], gaps[1]), difference_um }
     }
 
@@ -139,7 +139,7 @@ impl ModelPair {
         let [one, other] = [0, 1].map(|n| {
             let predicted = day.problem.predict(&self.sides[n].model);
             let left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
-            let [squares, spread] = self.quadratic_form(&self.sides[n], &day, &left);
+            let [squares, spread] = self.quadratic_form_and_log_det(&self.sides[n], &day, &left);
             squares + spread
         });
         other - one
@@ -147,7 +147,7 @@ impl ModelPair {
 
     fn whiten_run(&self, run: &DataTable) -> WhitenedRun {
         let data = Arc::new(run.clone());
-        let groups = Groups::new(&data, &data.used, 1);
+        let groups = RowGroups::new(&data, &data.used, 1);
         let problem = FitProblem::new(data, groups);
         let memory = self.memory_s / mean_row_interval_s(&problem);
         let noise =
@@ -157,14 +157,19 @@ impl ModelPair {
     }
 
     /// lᵀ·V⁻¹·l of a list, and ln det V but for what is the same for both sides.
-    fn quadratic_form(&self, side: &Hypothesis, day: &WhitenedRun, list: &[f64]) -> [f64; 2] {
-        let list = day.whitener.apply(list);
+    fn quadratic_form_and_log_det(
+        &self,
+        side: &Hypothesis,
+        day: &WhitenedRun,
+        list: &[f64],
+    ) -> [f64; 2] {
+        let list = day.whitener.whiten(list);
         let (parameters, columns) = jacobian(&day.problem, &side.model);
         let known: Vec<(usize, Vec<f64>)> = parameters
             .iter()
             .zip(&columns)
             .filter_map(|(parameter, column)| {
-                Some((side.spread.parameter_row(parameter)?, day.whitener.apply(column)))
+                Some((side.spread.parameter_row(parameter)?, day.whitener.whiten(column)))
             })
             .collect();
         let count = known.len();
@@ -227,7 +232,7 @@ mod tests {
     #[test]
     fn what_is_not_known_of_a_value_halves_the_gap_of_a_run_as_long_as_the_training() {
         let data = table(100.0, |q, off| 2.0 * q + 0.5 * off);
-        let groups = Groups::new(&data, &data.used.clone(), 1);
+        let groups = RowGroups::new(&data, &data.used.clone(), 1);
         let problem = FitProblem::new(data, groups);
         let side = |form: BoardTerm| {
             let kind = TermKind::from_board_term(None, &form).expect("a form of the board");

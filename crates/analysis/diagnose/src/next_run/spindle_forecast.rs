@@ -24,7 +24,7 @@ const CANDIDATE_LAGS_S: [f64; 16] = [
 /// Heat grows with the speed by such a power: friction of a load (1) to that of a liquid (2).
 const SPEED_EXPONENTS: [f64; 3] = [1.0, 1.5, 2.0];
 /// Rows that are looked at: enough for four constants.
-const MAX_ROWS: usize = 600;
+const MAX_FITTED_ROWS: usize = 600;
 
 /// The behaviour of the spindle and of the input columns in the runs.
 pub(super) struct SpindleForecast {
@@ -70,7 +70,7 @@ const NON_INPUT_PREFIXES: [&str; 10] = [
 ];
 
 /// Returns whether a column is what a model goes by.
-pub(super) fn is_input(name: &str) -> bool {
+pub(super) fn is_input_column(name: &str) -> bool {
     !NON_INPUT_PREFIXES.iter().any(|start| name.starts_with(start))
 }
 
@@ -112,7 +112,7 @@ impl SpindleForecast {
         let mut names: Vec<String> = Vec::new();
         for name in named {
             let is_own = name == "spindle_rpm" || name == "load_n";
-            if is_input(&name) && !is_own && !names.contains(&name) {
+            if is_input_column(&name) && !is_own && !names.contains(&name) {
                 names.push(name);
             }
         }
@@ -135,7 +135,7 @@ impl SpindleForecast {
         Ok(Self {
             fastest_rpm,
             most_load_n,
-            every_s: every_s.max(gauge.reading_interval_s()),
+            every_s: every_s.max(gauge.min_reading_interval_s()),
             columns,
         })
     }
@@ -190,7 +190,7 @@ impl SpindleForecast {
         let run = RunFile::from_reader(text.as_bytes(), Path::new("next.csv")).ok()?;
         let mut table =
             DataTable::new(&training.setting.machine, &[run], training.setting.quantity).ok()?;
-        table.set_origin(training);
+        table.copy_origin_from(training);
         Some(table)
     }
 }
@@ -201,7 +201,7 @@ impl ColumnResponse {
         let there: Vec<usize> = (0..rows.len())
             .filter(|&row| values[row].is_finite() && rows[row].speed.is_finite())
             .collect();
-        let step = there.len().div_ceil(MAX_ROWS).max(1);
+        let step = there.len().div_ceil(MAX_FITTED_ROWS).max(1);
         let there: Vec<usize> = there.into_iter().step_by(step).collect();
         // A constant that nothing determines is pulled to 0.
         let pull = (DETERMINACY_THRESHOLD * there.len() as f64).sqrt();

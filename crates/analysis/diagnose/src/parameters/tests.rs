@@ -5,13 +5,13 @@ use std::path::Path;
 use trueup_machine::{
     MachineFile, RunFile,
     effect::{BoardTerm, Tilt},
-    file::{Angle, BSpline, LinearAxis, Quantity},
+    file::{AngleProfile, BSpline, LinearAxis, Quantity},
 };
 use trueup_numerics::random::Generator;
 
 use super::*;
 use crate::{
-    data::{DataTable, Groups},
+    data::{DataTable, RowGroups},
     fit::fit,
     model::Model,
     term_kind::TermKind,
@@ -29,7 +29,7 @@ fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (ParameterEstimates, f64) {
     let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
     let data = DataTable::new(&machine, &[run], Quantity::Dz).expect("comparable");
-    let groups = Groups::new(&data, &data.used.clone(), 1);
+    let groups = RowGroups::new(&data, &data.used.clone(), 1);
     let problem = FitProblem::new(data, groups);
     let spline = BSpline {
         order: 4,
@@ -40,7 +40,7 @@ fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (ParameterEstimates, f64) {
         along: Some(LinearAxis::X),
         lever: LinearAxis::Y,
         origin_mm: 0.0,
-        angle: Angle::Curve(spline),
+        angle: AngleProfile::Curve(spline),
     };
     let kind =
         TermKind::from_board_term(Some(LinearAxis::Z), &BoardTerm::Tilt(tilt)).expect("a tilt");

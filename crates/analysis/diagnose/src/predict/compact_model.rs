@@ -10,7 +10,7 @@ use trueup_numerics::parallel::parallel_map;
 use crate::{model::Model, predict::dictionary::Dictionary};
 
 /// Most terms: what the board has room for next to those of the file.
-pub(super) const MAX_TERMS: usize = 8;
+pub(super) const MAX_COMPACT_MODEL_TERMS: usize = 8;
 /// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
 const SUBSAMPLE_RIDGE: f64 = 0.05;
 /// The ridge of a single fit, against columns that are nearly alike.
@@ -21,11 +21,11 @@ const MAX_RIDGE: f64 = 10.0;
 /// back, each is larger.
 pub(crate) const MAX_EFFECT_RATIO: f64 = 2.0;
 /// An exchange has to gain this share.
-const MIN_EXCHANGE_GAIN: f64 = 1e-3;
+const MIN_EXCHANGE_GAIN_SHARE: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.
 const MAX_CANDIDATES: usize = 60;
 /// The weight of the mean against what was measured.
-const MEAN_WEIGHT: f64 = 0.5;
+const ENSEMBLE_MEAN_WEIGHT: f64 = 0.5;
 
 /// A fitted set of terms.
 #[derive(Clone, Debug, Default)]
@@ -251,7 +251,7 @@ impl SubsetSearch<'_> {
     fn best_subsets(&self, is_large: bool) -> Vec<Vec<usize>> {
         let mut path: Vec<Vec<usize>> = Vec::new();
         let (mut set, mut least) = (Vec::new(), f64::INFINITY);
-        while path.len() < MAX_TERMS {
+        while path.len() < MAX_COMPACT_MODEL_TERMS {
             let Some((joined, sum)) = self.best_addition(&set, is_large) else { break };
             let (exchanged, sum) = self.exchange_terms(joined, sum, is_large);
             if sum >= least {
@@ -273,7 +273,7 @@ impl SubsetSearch<'_> {
             let mut rest = set.clone();
             rest.remove(number);
             if let Some((other, less)) = self.best_addition(&rest, is_large)
-                && less < (1.0 - MIN_EXCHANGE_GAIN) * sum
+                && less < (1.0 - MIN_EXCHANGE_GAIN_SHARE) * sum
             {
                 (set, sum) = (other, less);
             }
@@ -291,7 +291,7 @@ impl SubsetSearch<'_> {
             let mean = apart.iter().sum::<f64>() / count;
             let variance = apart.iter().map(|a| (a - mean).powi(2)).sum::<f64>() / (count - 1.0);
             // Every block is outside several subsamples: those that share none are as many as fit into a whole.
-            let independent = count.min(1.0 / (1.0 - super::SUBSAMPLE_SHARE));
+            let independent = count.min(1.0 / (1.0 - super::SUBSAMPLE_BLOCK_SHARE));
             mean <= (variance / independent).sqrt()
         };
         let number = left.iter().position(is_as_good).unwrap_or(path.len() - 1);
@@ -352,7 +352,7 @@ pub(super) fn select_compact_model(
                 .map(|sample| sample.fitted.predict_group(dictionary, row))
                 .sum::<f64>()
                 / samples.len() as f64;
-            (1.0 - MEAN_WEIGHT) * y[row] + MEAN_WEIGHT * mean
+            (1.0 - ENSEMBLE_MEAN_WEIGHT) * y[row] + ENSEMBLE_MEAN_WEIGHT * mean
         })
         .collect();
     fit_ridge(dictionary, &target, rows, &terms, SINGLE_FIT_RIDGE)

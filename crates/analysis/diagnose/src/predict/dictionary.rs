@@ -42,7 +42,7 @@ impl Dictionary {
             let is_open = of.is_compensated() && of.is_additive() && of.as_stated_term().is_none();
             let amplitudes = of.amplitude_count();
             // Nor is what happens once a record predicted by its other parts.
-            let is_once = of.is_wave() || of.is_settling_from_start();
+            let is_once = of.has_spatial_period() || of.is_settling_from_start();
             if !is_open || is_once || !(1..=MAX_AMPLITUDES).contains(&amplitudes) {
                 continue;
             }

@@ -9,7 +9,7 @@
 //!
 //! The best gain wins; of those within one standard error (paired over the blocks) and nine tenths of it the simplest.
 
-use trueup_numerics::blocks::MIN_IMPROVEMENT_SIGMAS;
+use trueup_numerics::blocks::MIN_GAIN_STANDARD_ERRORS;
 
 use crate::predict::dictionary::Dictionary;
 
@@ -20,7 +20,7 @@ const MIN_UNIQUE_VARIANCE_SHARE: f64 = 1e-3;
 /// A column is to be seen on as many occasions.
 const MIN_EFFECTIVE_BLOCKS: f64 = 3.0;
 /// Of a block that holds all but this share of what the mean block has nothing is predicted by the others.
-const MIN_REMAINING_SHARE: f64 = 0.25;
+const MIN_OUT_OF_BLOCK_SQUARES_RATIO: f64 = 0.25;
 
 /// A selection.
 pub(super) struct ForwardSelection<'f> {
@@ -55,7 +55,7 @@ impl ForwardSelection<'_> {
             }
             let pick = self.select_simplest_gain(&gains, best);
             let is_worth = [best, pick].iter().any(|gain| {
-                gain.sum > MIN_IMPROVEMENT_SIGMAS * sum_standard_error(&gain.of_blocks)
+                gain.sum > MIN_GAIN_STANDARD_ERRORS * sum_standard_error(&gain.of_blocks)
             });
             if self.stops && !is_worth {
                 break;
@@ -134,7 +134,7 @@ impl ForwardSelection<'_> {
             let apart: Vec<f64> =
                 best.of_blocks.iter().zip(&gain.of_blocks).map(|(a, b)| a - b).collect();
             gain.sum >= MIN_ALTERNATIVE_GAIN_SHARE * best.sum
-                && best.sum - gain.sum <= MIN_IMPROVEMENT_SIGMAS * sum_standard_error(&apart)
+                && best.sum - gain.sum <= MIN_GAIN_STANDARD_ERRORS * sum_standard_error(&apart)
         };
         let rivals = gains.iter().filter(is_rival);
         let order = |a: &&EntryGain, b: &&EntryGain| {
@@ -163,7 +163,7 @@ fn add_block_gains(z: &[f64], r: &[f64], ends: &[usize], whole: f64, gains: &mut
     }
     for (gain, [sb, nb]) in gains.iter_mut().zip(of_blocks) {
         let rest = n - nb;
-        if rest > MIN_REMAINING_SHARE * n / count {
+        if rest > MIN_OUT_OF_BLOCK_SQUARES_RATIO * n / count {
             let beta = (s - sb) / rest;
             *gain += 2.0 * beta * sb - beta * beta * nb;
         }
@@ -201,7 +201,7 @@ fn sum_standard_error(values: &[f64]) -> f64 {
 
 /// Returns the integrated autocorrelation time of a residual in rows, up to where the correlation falls below 0.05.
 pub(super) fn autocorrelation_time(residual: &[f64]) -> f64 {
-    const MIN_CORRELATION: f64 = 0.05;
+    const MIN_AUTOCORRELATION: f64 = 0.05;
     let count = residual.len();
     let mean = residual.iter().sum::<f64>() / count.max(1) as f64;
     let e: Vec<f64> = residual.iter().map(|e| e - mean).collect();
@@ -209,7 +209,7 @@ pub(super) fn autocorrelation_time(residual: &[f64]) -> f64 {
     let correlation = |lag: usize| {
         dot(&e[lag..], &e[..count - lag]) / (count - lag) as f64 / variance.max(f64::MIN_POSITIVE)
     };
-    let rows = (1..count / 3).map(correlation).take_while(|r| *r >= MIN_CORRELATION);
+    let rows = (1..count / 3).map(correlation).take_while(|r| *r >= MIN_AUTOCORRELATION);
     1.0 + 2.0 * rows.sum::<f64>()
 }
 

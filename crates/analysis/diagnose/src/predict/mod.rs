@@ -30,12 +30,12 @@ use crate::{
 };
 
 /// Pairs of subsamples, and of those of a fit without a part of the record.
-const SUBSAMPLE_PAIRS: usize = 15;
-const HELD_OUT_SUBSAMPLE_PAIRS: usize = 6;
+const SUBSAMPLE_PAIR_COUNT: usize = 15;
+const HELD_OUT_SUBSAMPLE_PAIR_COUNT: usize = 6;
 /// The share of the blocks in a subsample.
-const SUBSAMPLE_SHARE: f64 = 0.75;
+const SUBSAMPLE_BLOCK_SHARE: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.
-const MAX_EXTRA_TERMS: usize = 2;
+const MAX_EXTRA_SUBSAMPLE_TERMS: usize = 2;
 /// Blocks are this many times as long as what is left remembers; this many there are at least and at most.
 const BLOCK_LENGTH_CORRELATION_TIMES: f64 = 4.0;
 const BLOCK_COUNT_RANGE: [usize; 2] = [8, 60];
@@ -84,21 +84,21 @@ pub(crate) fn select_correction(
         is_timed,
         is_large: problem.is_parallel_worthwhile(),
     };
-    let whole = engine.select_model(&all, SUBSAMPLE_PAIRS)?;
+    let whole = engine.select_model(&all, SUBSAMPLE_PAIR_COUNT)?;
     let model = whole.to_model(&dictionary, initial_model(&problem.data));
-    let parts = folds.part_numbers();
+    let parts = folds.record_part_numbers();
     let count = parts.iter().max().map_or(0, |last| last + 1);
     let mut left = measured.clone();
     for part in 0..count {
         let rows: Vec<usize> = all.iter().copied().filter(|&row| parts[row] != part).collect();
-        let without = engine.select_model(&rows, HELD_OUT_SUBSAMPLE_PAIRS);
+        let without = engine.select_model(&rows, HELD_OUT_SUBSAMPLE_PAIR_COUNT);
         for row in (0..groups).filter(|&row| parts[row] == part) {
             left[row] -=
                 without.as_ref().map_or(0.0, |model| model.predict_group(&dictionary, row));
         }
     }
     let later = forecast_origins(groups).into_iter().filter(|first| *first > 0).map(|first| {
-        let without = engine.select_model(&all[..first], HELD_OUT_SUBSAMPLE_PAIRS);
+        let without = engine.select_model(&all[..first], HELD_OUT_SUBSAMPLE_PAIR_COUNT);
         let of = |row: usize| {
             without.as_ref().map_or(0.0, |model| model.predict_group(&dictionary, row))
         };
@@ -129,7 +129,7 @@ impl SubsampleSelection<'_> {
         let mut blocks = segment_indices(count, first.max(2));
         if self.is_timed {
             // Of what is left by a search that does not stop: what is still to be found remembers longer.
-            let rich = forward(rows, &blocks, compact_model::MAX_TERMS, false);
+            let rich = forward(rows, &blocks, compact_model::MAX_COMPACT_MODEL_TERMS, false);
             let left = fit_terms(self.dictionary, self.y, rows, &rich).residuals(
                 self.dictionary,
                 self.y,
@@ -142,7 +142,7 @@ impl SubsampleSelection<'_> {
                 most.clamp(BLOCK_COUNT_RANGE[0], BLOCK_COUNT_RANGE[1]).min(count),
             );
         }
-        let terms = forward(rows, &blocks, compact_model::MAX_TERMS, true);
+        let terms = forward(rows, &blocks, compact_model::MAX_COMPACT_MODEL_TERMS, true);
         if terms.is_empty() {
             return None;
         }
@@ -150,7 +150,7 @@ impl SubsampleSelection<'_> {
             return Some(fit_terms(self.dictionary, self.y, rows, &terms));
         }
         let number = blocks[count - 1] + 1;
-        let kept = ((SUBSAMPLE_SHARE * number as f64).round() as usize).clamp(1, number - 1);
+        let kept = ((SUBSAMPLE_BLOCK_SHARE * number as f64).round() as usize).clamp(1, number - 1);
         let mut generator = Generator::new(count as u64);
         let sides: Vec<Vec<bool>> = (0..pairs)
             .flat_map(|_| {
@@ -167,7 +167,7 @@ impl SubsampleSelection<'_> {
             let inside: Vec<usize> = (0..count).filter(|&n| is_in[blocks[n]]).collect();
             let of: Vec<usize> = inside.iter().map(|&n| rows[n]).collect();
             let there: Vec<usize> = inside.iter().map(|&n| blocks[n]).collect();
-            let found = forward(&of, &there, terms.len() + MAX_EXTRA_TERMS, true);
+            let found = forward(&of, &there, terms.len() + MAX_EXTRA_SUBSAMPLE_TERMS, true);
             let outside: Vec<usize> =
                 (0..count).filter(|&n| !is_in[blocks[n]]).map(|n| rows[n]).collect();
             let fitted = fit_terms(self.dictionary, self.y, &of, &found);

@@ -21,7 +21,7 @@ use crate::{
 pub(crate) const EBIC_PENALTY: f64 = 2.0;
 /// Models whose BIC differs by less cannot be distinguished (from 6 on Kass and Raftery, 1995, speak of
 /// strong evidence).
-pub(crate) const STRONG_EVIDENCE_BIC: f64 = 6.0;
+pub(crate) const STRONG_EVIDENCE_BIC_DIFFERENCE: f64 = 6.0;
 
 /// A model that leaves more than this times as much on held-out blocks or a hold-out (RMS) does not predict as well; the
 /// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).

@@ -5,13 +5,13 @@ use trueup_numerics::{blocks::rms, least_squares::normal::solve, parallel::paral
 use trueup_machine::effect::Effect;
 
 use crate::{
-    candidates::{Candidate, all_candidates, simple_candidates},
+    candidates::{CandidateTerm, all_candidates, simple_candidates},
     fit::{FitProblem, FittedModel, fit},
     model::Model,
     search::{
         criterion::{MAJORITY_SHARE, bic},
         range_bound::optimise_bound,
-        scan::{Hit, NoiseSimulation, scan},
+        scan::{NoiseSimulation, ScanHit, scan},
     },
     term_kind::{ModelPart, TermKind},
 };
@@ -47,14 +47,14 @@ pub(crate) struct Replacements {
 pub(crate) fn fit_extensions(
     problem: &FitProblem,
     base: &FittedModel,
-    candidates: &[Candidate],
+    candidates: &[CandidateTerm],
     most: usize,
 ) -> Vec<Extension> {
     // The names, the settings and the base are all that such a scan follows from.
     let what = format!("scan {candidates:?}");
     let scanned = problem
         .memoise(&what, &base.model, || scan(problem, base, candidates, NoiseSimulation::Not));
-    fit_hits(problem, base, &scanned.hits, most)
+    fit_scan_hits(problem, base, &scanned.hits, most)
 }
 
 /// `base` with each of the causes that the data allow and that `admits` lets in, of those the ones that
@@ -71,15 +71,15 @@ pub(crate) fn fit_single_cause_extensions(
 }
 
 /// `base` with each of the `most` best of `hits` by squares, and the better half as many by likelihood.
-pub(crate) fn fit_hits(
+pub(crate) fn fit_scan_hits(
     problem: &FitProblem,
     base: &FittedModel,
-    hits: &[Hit],
+    hits: &[ScanHit],
     most: usize,
 ) -> Vec<Extension> {
-    let mut order: Vec<&Hit> = hits.iter().collect();
+    let mut order: Vec<&ScanHit> = hits.iter().collect();
     order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
-    let mut chosen: Vec<&Hit> = order.iter().take(most).copied().collect();
+    let mut chosen: Vec<&ScanHit> = order.iter().take(most).copied().collect();
     order.sort_by(|a, b| b.by_likelihood.total_cmp(&a.by_likelihood));
     for hit in order.iter().take(most / 2) {
         if !chosen.iter().any(|there| {
@@ -151,7 +151,7 @@ pub(crate) fn effects_cancel(one: &[f64], other: &[f64]) -> bool {
     rms(&sum) < MAJORITY_SHARE * rms(one).min(rms(other))
 }
 
-fn with_hit(model: &Model, hit: &Hit) -> Model {
+fn with_hit(model: &Model, hit: &ScanHit) -> Model {
     let mut with = model.clone();
     with.parts.push(hit.part.clone());
     if hit.with_constant {

@@ -5,13 +5,14 @@ use trueup_numerics::blocks::{RmsReduction, rms};
 use crate::{
     fit::{FitProblem, FittedModel},
     folds::Folds,
-    gain::Gain,
+    gain::TermGain,
     search::{
         criterion::{
-            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC, bic, degrees_of_freedom, estimate_noise,
+            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom,
+            estimate_noise,
         },
-        extension::{Extension, fit_hits, fit_single_cause_extensions},
-        scan::Hit,
+        extension::{Extension, fit_scan_hits, fit_single_cause_extensions},
+        scan::ScanHit,
         state::{RejectReason, RejectedCandidate, Search},
     },
     term_kind::TermKind,
@@ -34,7 +35,7 @@ pub(crate) struct ChosenExtension {
     pub fitted: FittedModel,
     /// The causes that are new in it.
     pub causes: Vec<TermKind>,
-    pub gain: Gain,
+    pub gain: TermGain,
     /// Other extensions that were tried.
     pub tried: Vec<RejectedCandidate>,
 }
@@ -83,9 +84,14 @@ impl<'s> Baseline<'s> {
         AssessedExtension { cause, fitted, bic, left_out, left_out_um, reduction, is_gain }
     }
 
-    fn gain(&self, after: &FittedModel, left_out: &[f64], reduction: &RmsReduction) -> Gain {
+    fn term_gain(
+        &self,
+        after: &FittedModel,
+        left_out: &[f64],
+        reduction: &RmsReduction,
+    ) -> TermGain {
         let rms_um = [self.search.fitted.rms(), after.rms()];
-        Gain::new(rms_um, [&self.left_out, left_out], reduction)
+        TermGain::new(rms_um, [&self.left_out, left_out], reduction)
     }
 
     /// Those of `all` that are not taken, and why not.
@@ -142,12 +148,12 @@ pub(crate) fn choose_extension(
     if let Some(pair) = first_predictive_pair(&baseline, &all, tier, least_um) {
         return SelectionOutcome::Take(pair);
     }
-    let Some(taken) = best_index(&all, least_um) else {
+    let Some(taken) = best_extension_index(&all, least_um) else {
         return SelectionOutcome::Reject(baseline.rejected_extensions(&all, None));
     };
     let tried = baseline.rejected_extensions(&all, Some(taken));
     let it = all.swap_remove(taken);
-    let gain = baseline.gain(&it.fitted, &it.left_out, &it.reduction);
+    let gain = baseline.term_gain(&it.fitted, &it.left_out, &it.reduction);
     SelectionOutcome::Take(ChosenExtension {
         fitted: it.fitted,
         causes: vec![it.cause],
@@ -157,7 +163,7 @@ pub(crate) fn choose_extension(
 }
 
 /// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
-fn best_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
+fn best_extension_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
     let predicts = |extension: &AssessedExtension| {
         extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
     };
@@ -171,7 +177,9 @@ fn best_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
     };
     all.iter()
         .enumerate()
-        .filter(|(_, extension)| predicts(extension) && extension.bic < best + STRONG_EVIDENCE_BIC)
+        .filter(|(_, extension)| {
+            predicts(extension) && extension.bic < best + STRONG_EVIDENCE_BIC_DIFFERENCE
+        })
         .min_by(|(_, a), (_, b)| {
             simple(a).cmp(&simple(b)).then(a.left_out_um.total_cmp(&b.left_out_um))
         })
@@ -191,7 +199,7 @@ fn first_predictive_pair(
     if first.is_gain
         || !is_relevant
         || first.cause.is_interaction()
-        || first.bic >= search.bic() - STRONG_EVIDENCE_BIC
+        || first.bic >= search.bic() - STRONG_EVIDENCE_BIC_DIFFERENCE
     {
         return None;
     }
@@ -201,7 +209,7 @@ fn first_predictive_pair(
         let predicts = reduction.is_gain && rms(&left_out) < MAX_EQUIVALENT_RMS_RATIO * least_um;
         predicts.then(|| ChosenExtension {
             causes: vec![first.cause.clone(), partner.cause],
-            gain: baseline.gain(&partner.fitted, &left_out, &reduction),
+            gain: baseline.term_gain(&partner.fitted, &left_out, &reduction),
             fitted: partner.fitted,
             tried: baseline.rejected_extensions(all, Some(0)),
         })
@@ -212,7 +220,7 @@ fn first_predictive_pair(
 fn partner_extensions(problem: &FitProblem, base: &FittedModel, tier: u8) -> Vec<Extension> {
     let own = bic(problem, base);
     let mut better = fit_single_cause_extensions(problem, base, 4, |cause| cause.tier() <= tier);
-    better.retain(|extension| extension.bic < own - STRONG_EVIDENCE_BIC);
+    better.retain(|extension| extension.bic < own - STRONG_EVIDENCE_BIC_DIFFERENCE);
     better.sort_by(|a, b| a.bic.total_cmp(&b.bic));
     better
 }
@@ -222,7 +230,7 @@ fn partner_extensions(problem: &FitProblem, base: &FittedModel, tier: u8) -> Vec
 /// lets one candidate reach, and must predict held-out blocks better.
 pub(crate) fn suppressor_pair(
     search: &Search<'_>,
-    hits: &[Hit],
+    hits: &[ScanHit],
     tier: u8,
     limit: f64,
 ) -> Option<ChosenExtension> {
@@ -231,10 +239,11 @@ pub(crate) fn suppressor_pair(
         return None;
     }
     let is_simple = |cause: &TermKind| cause.tier() <= 1 && cause.amplitude_count() <= 2;
-    let simple: Vec<Hit> = hits.iter().filter(|hit| is_simple(&hit.part.kind)).cloned().collect();
-    let mut best_bic = search.bic() - 1.5 * limit.max(0.0) - 2.0 * STRONG_EVIDENCE_BIC;
+    let simple: Vec<ScanHit> =
+        hits.iter().filter(|hit| is_simple(&hit.part.kind)).cloned().collect();
+    let mut best_bic = search.bic() - 1.5 * limit.max(0.0) - 2.0 * STRONG_EVIDENCE_BIC_DIFFERENCE;
     let mut best: Option<(TermKind, Extension)> = None;
-    for first in fit_hits(problem, &search.fitted, &simple, 5) {
+    for first in fit_scan_hits(problem, &search.fitted, &simple, 5) {
         let Some(partner) = partner_extensions(problem, &first.fitted, tier).into_iter().next()
         else {
             continue;
@@ -250,7 +259,7 @@ pub(crate) fn suppressor_pair(
     let reduction = baseline.folds.rms_reduction(&baseline.left_out, &left_out);
     reduction.is_gain.then(|| ChosenExtension {
         causes: vec![first, partner.cause],
-        gain: baseline.gain(&partner.fitted, &left_out, &reduction),
+        gain: baseline.term_gain(&partner.fitted, &left_out, &reduction),
         fitted: partner.fitted,
         tried: Vec::new(),
     })

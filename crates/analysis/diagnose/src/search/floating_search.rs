@@ -17,11 +17,13 @@ use trueup_numerics::{blocks::rms, noise::NoiseModel, parallel::parallel_map};
 use crate::{
     candidates::simple_candidates,
     fit::{FittedModel, fit},
-    gain::Gain,
+    gain::TermGain,
     model::Model,
     search::{
         MAX_TERMS,
-        criterion::{EBIC_PENALTY, STRONG_EVIDENCE_BIC, bic, degrees_of_freedom, estimate_noise},
+        criterion::{
+            EBIC_PENALTY, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom, estimate_noise,
+        },
         extension::{
             Extension, centred_effect, effects_cancel, fit_single_cause_extensions, without_term,
         },
@@ -106,7 +108,7 @@ impl Search<'_> {
                     .or_else(|| self.floating_search(plain.as_ref()?, &own, way(false)))
             });
         let Some(found) = found else { return false };
-        self.adopt(found, &own);
+        self.adopt_model(found, &own);
         true
     }
 
@@ -120,10 +122,12 @@ impl Search<'_> {
         if plain.parts.len() == self.fitted.model.parts.len() {
             return false;
         }
-        plain.parts.retain(|part| !part.kind.is_wave() && !part.kind.is_of_instrument());
+        plain
+            .parts
+            .retain(|part| !part.kind.has_spatial_period() && !part.kind.is_instrument_error());
         let price = self.term_penalty();
         let is_plain = |kind: &TermKind| {
-            let is_once = kind.has_instant() || kind.is_of_instrument() || kind.is_time_shift();
+            let is_once = kind.has_instant() || kind.is_instrument_error() || kind.is_time_shift();
             kind.tier() < 3 && !is_once && !is_list(kind)
         };
         let mut here = fit(self.problem, &plain, None);
@@ -137,13 +141,13 @@ impl Search<'_> {
             here = best.fitted;
         }
         let own = self.assess(self.fitted.clone(), price);
-        if self.score(&here, price) > own.score - STRONG_EVIDENCE_BIC {
+        if self.penalised_bic(&here, price) > own.score - STRONG_EVIDENCE_BIC_DIFFERENCE {
             return false;
         }
         let here = self.assess(here, price);
         let is_better = self.is_better(&here, &own);
         if is_better {
-            self.adopt(here, &own);
+            self.adopt_model(here, &own);
         }
         is_better
     }
@@ -155,7 +159,7 @@ impl Search<'_> {
         let known = self.assess(fit(self.problem, known, None), price);
         let is_better = self.is_better(&known, &own);
         if is_better {
-            self.adopt(known, &own);
+            self.adopt_model(known, &own);
         }
         is_better
     }
@@ -176,7 +180,8 @@ impl Search<'_> {
             here = self.backward_elimination(there, way);
             let before = best.as_ref().unwrap_or(own);
             // What scores worse is not worth a test on held-out blocks.
-            let is_near = self.score(&here, way.price) < before.score + STRONG_EVIDENCE_BIC;
+            let is_near = self.penalised_bic(&here, way.price)
+                < before.score + STRONG_EVIDENCE_BIC_DIFFERENCE;
             let there = is_near.then(|| self.assess(here.clone(), way.price));
             match there.filter(|there| self.is_better(there, before)) {
                 Some(better) => (best, ahead) = (Some(better), 0),
@@ -186,12 +191,13 @@ impl Search<'_> {
         best
     }
 
-    fn score(&self, fitted: &FittedModel, price: f64) -> f64 {
+    fn penalised_bic(&self, fitted: &FittedModel, price: f64) -> f64 {
         bic(self.problem, fitted) + price * fitted.model.parts.len() as f64
     }
 
     fn assess(&self, fitted: FittedModel, price: f64) -> ScoredModel {
-        let (score, left_out) = (self.score(&fitted, price), self.held_out_residuals(&fitted));
+        let (score, left_out) =
+            (self.penalised_bic(&fitted, price), self.held_out_residuals(&fitted));
         ScoredModel { fitted, score, left_out }
     }
 
@@ -201,11 +207,11 @@ impl Search<'_> {
         let gap = other.score - one.score;
         let paired = self.folds.paired_comparison(&other.left_out, &one.left_out);
         let [own, others] = [one, other].map(|model| degrees_of_freedom(&model.fitted.model));
-        let is_better = if gap >= STRONG_EVIDENCE_BIC {
+        let is_better = if gap >= STRONG_EVIDENCE_BIC_DIFFERENCE {
             let fewer = own < others;
             paired.is_better() || fewer && self.predicts_as_well(&one.fitted, &other.left_out)
         } else {
-            gap > -STRONG_EVIDENCE_BIC && own <= others && paired.is_significant()
+            gap > -STRONG_EVIDENCE_BIC_DIFFERENCE && own <= others && paired.is_significant()
         };
         let is_identified =
             rms(&one.left_out).powi(2) <= MAX_HELD_OUT_SQUARES_RATIO * one.fitted.rms().powi(2);
@@ -223,7 +229,8 @@ impl Search<'_> {
     /// answer for that where they are alone.
     fn forward_step(&self, base: &FittedModel, way: FloatingSearchOptions) -> Option<Extension> {
         let is_open = |cause: &TermKind| {
-            let is_searched = cause.is_wave() || cause.is_of_instrument() || cause.has_instant();
+            let is_searched =
+                cause.has_spatial_period() || cause.is_instrument_error() || cause.has_instant();
             let is_admitted = way.with_lists || cause.list_length().is_none();
             cause.tier() < 3 && !is_searched && !cause.is_time_shift() && is_admitted
         };
@@ -306,10 +313,14 @@ impl Search<'_> {
     }
 
     /// Takes a better model for the `own`.
-    fn adopt(&mut self, ScoredModel { fitted, left_out, .. }: ScoredModel, own: &ScoredModel) {
+    fn adopt_model(
+        &mut self,
+        ScoredModel { fitted, left_out, .. }: ScoredModel,
+        own: &ScoredModel,
+    ) {
         let (before, after) = (&own.left_out[..], &left_out[..]);
         let reduction = self.folds.rms_reduction(before, after);
-        let gain = Gain::new([self.fitted.rms(), fitted.rms()], [before, after], &reduction);
+        let gain = TermGain::new([self.fitted.rms(), fitted.rms()], [before, after], &reduction);
         self.fitted = fitted;
         self.added.retain(|there| self.fitted.model.contains(&there.cause));
         self.by_squares.retain(|cause| self.fitted.model.contains(cause));

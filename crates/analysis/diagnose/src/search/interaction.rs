@@ -97,7 +97,7 @@ impl Search<'_> {
                     else {
                         return;
                     };
-                    self.replace(index, with);
+                    self.replace_term(index, with);
                     self.added.retain(|term| term.cause != *second);
                     return;
                 }

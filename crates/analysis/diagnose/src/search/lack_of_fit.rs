@@ -3,11 +3,11 @@
 use std::fmt;
 
 use crate::{
-    candidates::Candidate,
+    candidates::CandidateTerm,
     fit::{FitProblem, FittedModel},
     folds::FoldUnit,
     search::{
-        criterion::{STRONG_EVIDENCE_BIC, bic},
+        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         extension::{Extension, fit_extensions},
     },
     term_kind::{Curve, TermKind},
@@ -79,7 +79,7 @@ impl fmt::Display for CurveInputs {
 pub(crate) fn fit_single_curve_extensions(
     problem: &FitProblem,
     base: &FittedModel,
-    curves: &[Candidate],
+    curves: &[CandidateTerm],
 ) -> Vec<Extension> {
     fit_extensions(problem, base, curves, 2)
 }
@@ -89,13 +89,15 @@ pub(crate) fn fit_single_curve_extensions(
 pub(crate) fn with_curves(
     problem: &FitProblem,
     base: &FittedModel,
-    curves: &[Candidate],
+    curves: &[CandidateTerm],
 ) -> FittedModel {
     let mut best = base.clone();
     for _ in 0..2 {
         let own = bic(problem, &best);
         let with = Extension::best_by_bic(fit_single_curve_extensions(problem, &best, curves));
-        let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE_BIC) else { break };
+        let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE_BIC_DIFFERENCE) else {
+            break;
+        };
         best = with.fitted;
     }
     best

@@ -53,11 +53,11 @@ use crate::{
     term_kind::ModelPart,
 };
 use criterion::{degrees_of_freedom, estimate_noise};
-use extension::fit_hits;
+use extension::fit_scan_hits;
 use extension_choice::{ChosenExtension, SelectionOutcome, choose_extension, suppressor_pair};
 use interaction::single_term_replacements;
 use lack_of_fit::{CurveInputs, LackOfFit};
-use scan::{Hit, NoiseSimulation, ScanResult, scan};
+use scan::{NoiseSimulation, ScanHit, ScanResult, scan};
 pub(crate) use state::{AddedTerm, RejectedCandidate};
 use state::{RejectReason, Search, SearchStage};
 
@@ -133,7 +133,7 @@ enum RoundOutcome {
     /// Nothing; there is more to try.
     Widened,
     /// Nothing, and everything was tried. With the last scan.
-    Exhausted(Vec<Hit>),
+    Exhausted(Vec<ScanHit>),
 }
 
 impl Search<'_> {
@@ -146,7 +146,7 @@ impl Search<'_> {
                 RoundOutcome::AddedTerm if self.added.len() >= MAX_TERMS => break,
                 RoundOutcome::AddedTerm => {
                     progress("comparing with alternatives", part(round as f64 + 0.7));
-                    self.revise();
+                    self.revise_terms();
                 }
                 RoundOutcome::Widened => {}
                 RoundOutcome::Exhausted(hits) => return self.collect_rejected(&hits),
@@ -171,9 +171,9 @@ impl Search<'_> {
         });
         let tier = candidates.iter().map(|candidate| candidate.kind.tier()).max().unwrap_or(0);
         let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);
-        let is_open = |hit: &&Hit| self.is_admissible(hit);
-        let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
-        let mut options = fit_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
+        let is_open = |hit: &&ScanHit| self.is_admissible(hit);
+        let hits: Vec<ScanHit> = scanned.hits.iter().filter(is_open).cloned().collect();
+        let mut options = fit_scan_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
         if self.stage == SearchStage::Composed {
             let causes = self.added.iter().map(|term| &term.cause);
             let alone = single_term_replacements(self.problem, &self.fitted, causes);
@@ -193,12 +193,12 @@ impl Search<'_> {
     /// Returns whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
     /// the noise (only the squares see it); with that the few independent rows that it rests on are
     /// used up, and a second one would follow the wander of the first one's remainder.
-    fn is_admissible(&self, hit: &Hit) -> bool {
+    fn is_admissible(&self, hit: &ScanHit) -> bool {
         let is_free = self.by_squares.is_empty() || hit.part.kind.tier() == 0;
         hit.is_likely || hit.is_significant && is_free
     }
 
-    fn accept_extension(&mut self, taken: ChosenExtension, hits: &[Hit]) {
+    fn accept_extension(&mut self, taken: ChosenExtension, hits: &[ScanHit]) {
         self.rejected.clear();
         self.limits = NoiseSimulation::Robust;
         self.fitted = taken.fitted;
@@ -255,7 +255,7 @@ impl Search<'_> {
             if self.replace_lists_by_plain_terms()
                 || is_cheap && (self.apply_floating_search() || self.try_two_step_lookahead())
             {
-                self.revise();
+                self.revise_terms();
                 return RoundOutcome::Widened;
             }
         }
@@ -282,7 +282,7 @@ impl Search<'_> {
 
     /// Gathers what was rejected on the way, down to what was not even significant in the last scan;
     /// what is more than noise, but does not predict, is a lack of fit.
-    fn collect_rejected(&mut self, hits: &[Hit]) -> Vec<LackOfFit> {
+    fn collect_rejected(&mut self, hits: &[ScanHit]) -> Vec<LackOfFit> {
         for added in &self.added {
             for tried in &added.tried {
                 let is_in = added.cause == tried.cause || self.fitted.model.contains(&tried.cause);
@@ -324,8 +324,8 @@ impl Search<'_> {
     fn into_outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> SearchOutcome {
         let (problem, fitted) = (self.problem, self.fitted);
         let scanned = scan(problem, &fitted, &curve_candidates(problem), self.limits);
-        let share_um = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
-        let counts = |hit: &&Hit| hit.is_significant && share_um(hit) > self.relevant_um;
+        let share_um = |hit: &ScanHit| (hit.explained * fitted.rms().powi(2)).sqrt();
+        let counts = |hit: &&ScanHit| hit.is_significant && share_um(hit) > self.relevant_um;
         let inputs = scanned
             .hits
             .iter()

@@ -6,11 +6,13 @@ use trueup_numerics::parallel::parallel_map;
 use crate::{
     candidates::used_temperature_columns,
     fit::FittedModel,
-    gain::Gain,
+    gain::TermGain,
     search::{
-        criterion::{MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC, bic, degrees_of_freedom},
+        criterion::{
+            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom,
+        },
         extension::{Extension, fit_single_cause_extensions},
-        state::{AddedTerm, MIN_RELEVANT_SHARE, Search},
+        state::{AddedTerm, MIN_RELEVANT_RMS_SHARE, Search},
     },
     term_kind::TermKind,
 };
@@ -18,7 +20,7 @@ use crate::{
 impl Search<'_> {
     /// Tries, for each term, whether it is still needed, and whether another cause does better in its
     /// place now that others are there.
-    pub(crate) fn revise(&mut self) {
+    pub(crate) fn revise_terms(&mut self) {
         for _ in 0..2 {
             let mut has_changed = false;
             for index in (0..self.added.len()).rev() {
@@ -44,16 +46,16 @@ impl Search<'_> {
                 let is_better = other.bic < own - self.required_bic_gain(&cause, &other)
                     && self.predicts_better(&cause, &other);
                 if is_better {
-                    self.replace(index, other);
+                    self.replace_term(index, other);
                 }
                 is_better
             }
             _ => {
                 let is_needed = without > own
                     || self.held_out_rms_um(&places.without)
-                        > (1.0 + MIN_RELEVANT_SHARE) * self.held_out_rms_um(&self.fitted);
+                        > (1.0 + MIN_RELEVANT_RMS_SHARE) * self.held_out_rms_um(&self.fitted);
                 if !is_needed {
-                    self.remove(index, places.without);
+                    self.remove_term(index, places.without);
                 }
                 !is_needed
             }
@@ -71,11 +73,11 @@ impl Search<'_> {
         let [own, other] =
             [&self.fitted, &other.fitted].map(|fitted| degrees_of_freedom(&fitted.model));
         if other > own && !is_same_path {
-            3.0 * STRONG_EVIDENCE_BIC
+            3.0 * STRONG_EVIDENCE_BIC_DIFFERENCE
         } else if other < own {
             0.0
         } else {
-            STRONG_EVIDENCE_BIC
+            STRONG_EVIDENCE_BIC_DIFFERENCE
         }
     }
 
@@ -84,7 +86,7 @@ impl Search<'_> {
     pub(crate) fn predicts_better(&self, cause: &TermKind, other: &Extension) -> bool {
         let most =
             if degrees_of_freedom(&other.fitted.model) < degrees_of_freedom(&self.fitted.model) {
-                1.0 + MIN_RELEVANT_SHARE
+                1.0 + MIN_RELEVANT_RMS_SHARE
             } else if other.cause.tier() > cause.tier() {
                 1.0 - 2.0 * (MAX_EQUIVALENT_RMS_RATIO - 1.0)
             } else {
@@ -100,7 +102,7 @@ impl Search<'_> {
         let own = self.bic();
         let terms: Vec<usize> = (0..self.added.len()).collect();
         let pairs = parallel_map(&terms, self.problem.is_parallel_worthwhile(), |&index| {
-            self.best_replacement_pair(index, own - STRONG_EVIDENCE_BIC)
+            self.best_replacement_pair(index, own - STRONG_EVIDENCE_BIC_DIFFERENCE)
         });
         let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
         let Some(pair) = best else { return false };
@@ -110,7 +112,7 @@ impl Search<'_> {
             return false;
         }
         let gain = self.added[pair.index].gain;
-        let gain = Gain { left_out_before_um: before, left_out_after_um: after, ..gain };
+        let gain = TermGain { left_out_before_um: before, left_out_after_um: after, ..gain };
         self.fitted = pair.fitted;
         let [first, second] = pair.causes;
         self.added[pair.index].cause = first;
@@ -149,7 +151,7 @@ impl Search<'_> {
             let second = part.kind.heat_path().filter(|path| path.is_second);
             if let Some(second) = second
                 && !used.iter().any(|column| column == second.column)
-                && let Some(path) = part.kind.as_separate_path(second.has_lag)
+                && let Some(path) = part.kind.to_separate_path(second.has_lag)
             {
                 for there in self.added.iter_mut().filter(|there| there.cause == part.kind) {
                     there.cause = path.clone();

@@ -26,13 +26,13 @@ use trueup_numerics::{
 };
 
 use crate::{
-    candidates::Candidate,
+    candidates::CandidateTerm,
     fit::{FitProblem, FittedModel, jacobian, part_derivatives},
     model::Model,
     outliers::FALSE_CLAIM_PROBABILITY,
     search::{
         criterion::{estimate_noise, max_autocorrelation_time},
-        statistics::{Trial, compute_statistics},
+        statistics::{Trial, compute_scan_statistics},
     },
     term_kind::ModelPart,
 };
@@ -40,11 +40,11 @@ use crate::{
 /// Chance that noise passes the limit of one of the two statistics in one search: together that of a claim.
 pub(crate) const FALSE_ALARM_PROBABILITY: f64 = FALSE_CLAIM_PROBABILITY / 2.0;
 /// Draws of noise.
-const NOISE_SIMULATIONS: usize = 32;
+const NOISE_SIMULATION_COUNT: usize = 32;
 
 /// A candidate at its best setting.
 #[derive(Clone, Debug)]
-pub(crate) struct Hit {
+pub(crate) struct ScanHit {
     /// Its number among the candidates.
     pub candidate: usize,
     pub part: ModelPart,
@@ -64,7 +64,7 @@ pub(crate) struct Hit {
 /// The outcome of a search.
 pub(crate) struct ScanResult {
     /// The best setting of each candidate, with and without a constant.
-    pub hits: Vec<Hit>,
+    pub hits: Vec<ScanHit>,
     /// The limit of T, where noise had to be drawn.
     pub likelihood_limit: Option<f64>,
 }
@@ -74,7 +74,7 @@ fn effect_columns(
     problem: &FitProblem,
     model: &Model,
     here: &[f64],
-    candidate: &Candidate,
+    candidate: &CandidateTerm,
     setting: &[f64],
 ) -> (Vec<Vec<f64>>, bool) {
     let kind = &candidate.kind;
@@ -116,7 +116,7 @@ pub(crate) enum NoiseSimulation {
 pub(crate) fn scan(
     problem: &FitProblem,
     base: &FittedModel,
-    candidates: &[Candidate],
+    candidates: &[CandidateTerm],
     draw: NoiseSimulation,
 ) -> ScanResult {
     let trials = build_trials(problem, &base.model, candidates);
@@ -130,7 +130,7 @@ pub(crate) fn scan(
         trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
     let mut of_trials = Vec::new();
     let mut of = |lists: &[Vec<f64>]| {
-        let mut all = compute_statistics(
+        let mut all = compute_scan_statistics(
             &trials,
             &nuisance,
             lists,
@@ -154,18 +154,19 @@ pub(crate) fn scan(
     let limits = (draw != NoiseSimulation::Not && may_pass).then(|| {
         let sigma = (dot(residual, residual) / rows as f64).sqrt();
         let mut generator = Generator::new(0x7472_7565_7570 ^ rows as u64);
-        let drawn: Vec<Vec<f64>> = (0..NOISE_SIMULATIONS)
+        let drawn: Vec<Vec<f64>> = (0..NOISE_SIMULATION_COUNT)
             .map(|_| {
-                let mut e = noise::draw(own, steps, &mut generator);
+                let mut e = noise::draw_noise(own, steps, &mut generator);
                 e.iter_mut().for_each(|e| *e *= sigma);
                 e
             })
             .collect();
         let all = of(&drawn);
-        let most: Vec<[f64; 2]> = (0..NOISE_SIMULATIONS).map(|draw| best(&all, draw)).collect();
+        let most: Vec<[f64; 2]> =
+            (0..NOISE_SIMULATION_COUNT).map(|draw| best(&all, draw)).collect();
         [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
     });
-    let mut hits: Vec<Hit> = Vec::new();
+    let mut hits: Vec<ScanHit> = Vec::new();
     for (number, trial) in trials.iter().enumerate() {
         let [by_likelihood, by_squares] = real[number][0];
         let candidate = &candidates[trial.candidate];
@@ -174,7 +175,7 @@ pub(crate) fn scan(
         let mut values = trial.setting.clone();
         values.resize(candidate.kind.degrees_of_freedom(), 0.0);
         let gain = by_squares + price[number] + trial.degrees * independent.ln();
-        let hit = Hit {
+        let hit = ScanHit {
             candidate: trial.candidate,
             part: ModelPart { kind: candidate.kind.clone(), values },
             with_constant: trial.with_constant,
@@ -195,7 +196,7 @@ pub(crate) fn scan(
     ScanResult { hits, likelihood_limit: limits.map(|[t, _]| t) }
 }
 
-impl Hit {
+impl ScanHit {
     /// Together with another setting of the same candidate: the values of the one that explains more
     /// of the squares, the best of the rest.
     fn merge(&mut self, other: Self) {
@@ -211,7 +212,7 @@ impl Hit {
 }
 
 /// Returns every candidate at every setting, with and without a constant.
-fn build_trials(problem: &FitProblem, model: &Model, candidates: &[Candidate]) -> Vec<Trial> {
+fn build_trials(problem: &FitProblem, model: &Model, candidates: &[CandidateTerm]) -> Vec<Trial> {
     let rows = problem.groups.len();
     let here = problem.predict(model);
     let mut trials = Vec::new();

@@ -13,7 +13,8 @@ use crate::{
     model::Model,
     search::{
         criterion::{
-            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC, bic, bic_gap, degrees_of_freedom,
+            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, bic_gap,
+            degrees_of_freedom,
         },
         extension::{Extension, centred_effect, effects_cancel, fit_single_cause_extensions},
         state::{AddedTerm, Search},
@@ -48,7 +49,7 @@ impl Search<'_> {
         for index in 0..self.added.len() {
             let cause = self.added[index].cause.clone();
             let is_prompt = cause.heat_path().is_some_and(|path| !path.has_lag);
-            let Some(late) = cause.as_separate_path(true).filter(|_| is_prompt) else { continue };
+            let Some(late) = cause.to_separate_path(true).filter(|_| is_prompt) else { continue };
             if !self.fitted.model.contains(&cause) {
                 continue;
             }
@@ -58,7 +59,7 @@ impl Search<'_> {
                 || MAX_EQUIVALENT_RMS_RATIO * self.held_out_rms_um(&with.fitted)
                     < self.held_out_rms_um(&self.fitted)
             {
-                self.replace(index, with);
+                self.replace_term(index, with);
                 self.added.retain(|term| term.cause != other);
                 return;
             }
@@ -119,7 +120,7 @@ impl Search<'_> {
         let is_better = with.bic < self.bic() && there < own;
         if is_better || MAX_EQUIVALENT_RMS_RATIO * there < own {
             let first = self.added.iter().position(|term| is_part(&term.cause)).unwrap_or(0);
-            self.replace(first, with);
+            self.replace_term(first, with);
             self.added.retain(|term| !is_part(&term.cause));
         }
     }
@@ -196,9 +197,9 @@ impl Search<'_> {
     /// table may be what the table could not follow of another.
     fn fit_single_wave_extensions(&self, model: &Model) -> Vec<Extension> {
         let mut plain = model.clone();
-        plain.parts.retain(|part| !part.kind.is_wave());
+        plain.parts.retain(|part| !part.kind.has_spatial_period());
         let plain = fit(self.problem, &plain, None);
-        fit_single_cause_extensions(self.problem, &plain, usize::MAX, TermKind::is_wave)
+        fit_single_cause_extensions(self.problem, &plain, usize::MAX, TermKind::has_spatial_period)
     }
 
     /// Two columns that go together, stacked with opposite signs, are their difference and no heat: of such
@@ -206,7 +207,7 @@ impl Search<'_> {
     fn drop_cancelling_paths(&mut self) {
         while let Some((index, without)) = self.cancelling_path() {
             self.given_up.push(self.added[index].cause.clone());
-            self.remove(index, without);
+            self.remove_term(index, without);
         }
     }
 
@@ -238,7 +239,7 @@ impl Search<'_> {
         let second =
             |term: &AddedTerm| term.cause.heat_path().filter(|path| path.is_second).is_some();
         let renamed = self.added.iter().filter(|term| second(term)).find_map(|term| {
-            let own_path = term.cause.as_separate_path(true)?;
+            let own_path = term.cause.to_separate_path(true)?;
             let column = term.cause.heat_path()?.column;
             let first = |there: &&AddedTerm| {
                 let path = there.cause.heat_path().filter(|path| !path.is_second);
@@ -287,7 +288,7 @@ impl Search<'_> {
         if let Some(index) = held_up {
             let without = self.refit_without(&self.added[index].cause);
             self.given_up.push(self.added[index].cause.clone());
-            self.remove(index, without);
+            self.remove_term(index, without);
         }
     }
 
@@ -308,7 +309,7 @@ impl Search<'_> {
             match least {
                 Some((index, without, paired)) if !paired.is_better() => {
                     self.given_up.push(self.added[index].cause.clone());
-                    self.remove(index, without);
+                    self.remove_term(index, without);
                 }
                 _ => break,
             }
@@ -343,10 +344,10 @@ impl Search<'_> {
                     .paired_comparison(&self.held_out_residuals(&it.fitted), &with)
                     .is_significant()
             };
-            if (gap < STRONG_EVIDENCE_BIC || is_at_the_end) && as_well()
-                || gap < -STRONG_EVIDENCE_BIC && is_open()
+            if (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || is_at_the_end) && as_well()
+                || gap < -STRONG_EVIDENCE_BIC_DIFFERENCE && is_open()
             {
-                self.replace(index, it);
+                self.replace_term(index, it);
             }
         }
     }

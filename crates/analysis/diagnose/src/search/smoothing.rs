@@ -11,7 +11,7 @@ use crate::{
     model::Model,
     parameters::mean_row_interval_s,
     search::{
-        criterion::{STRONG_EVIDENCE_BIC, bic},
+        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         state::Search,
     },
     term_kind::ModelPart,
@@ -19,7 +19,7 @@ use crate::{
 
 /// Smoothed over this many of its time constants: as much as the lag does, and as much as several of them do
 /// that were found for the same noise.
-const SMOOTHING_WIDTHS: [f64; 3] = [1.0, 2.0, 4.0];
+const SMOOTHING_WIDTH_TIME_CONSTANTS: [f64; 3] = [1.0, 2.0, 4.0];
 
 /// Returns whether the model `without` a lag predicts as well as the one with it, which leaves `left_out` there, if
 /// its thermometers are smoothed as much.
@@ -54,7 +54,8 @@ fn holds_with_smoothing(
         holds(&FitProblem::new(smooth, problem.groups.clone()))
     };
     is_lagged_term(part)
-        && parallel_map(&SMOOTHING_WIDTHS, problem.is_parallel_worthwhile(), of).contains(&true)
+        && parallel_map(&SMOOTHING_WIDTH_TIME_CONSTANTS, problem.is_parallel_worthwhile(), of)
+            .contains(&true)
 }
 
 /// Returns what the lag leaves less than the model `without` it, where the thermometers are smooth.
@@ -81,7 +82,7 @@ impl Search<'_> {
     pub(super) fn drop_smoothing_lags(&mut self) {
         while let Some((index, without)) = self.find_smoothing_term() {
             self.given_up.push(self.added[index].cause.clone());
-            self.remove(index, without);
+            self.remove_term(index, without);
         }
     }
 
@@ -98,7 +99,7 @@ impl Search<'_> {
             let left_out = left_out.get_or_insert_with(|| self.held_out_residuals(&self.fitted));
             let is_as_good = |smooth: &FitProblem| {
                 let fitted = fit(smooth, &without.model, None);
-                bic(smooth, &fitted) < own + STRONG_EVIDENCE_BIC
+                bic(smooth, &fitted) < own + STRONG_EVIDENCE_BIC_DIFFERENCE
                     && !gain_over_smoothing(&self.folds, smooth, &without.model, left_out)
                         .is_significant()
             };

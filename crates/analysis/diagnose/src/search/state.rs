@@ -7,7 +7,7 @@ use trueup_machine::effect::{Effect, HeatPath};
 use crate::{
     fit::{FitProblem, FittedModel, fit},
     folds::{FoldUnit, Folds},
-    gain::Gain,
+    gain::TermGain,
     model::Model,
     search::{
         SearchScope,
@@ -90,7 +90,7 @@ impl SearchStage {
 #[derive(Clone, Debug)]
 pub(crate) struct AddedTerm {
     pub cause: TermKind,
-    pub gain: Gain,
+    pub gain: TermGain,
     pub tried: Vec<RejectedCandidate>,
 }
 
@@ -132,7 +132,7 @@ impl fmt::Display for RejectReason {
 }
 
 /// The share of the RMS below which nothing is worth a term: of what the machine file leaves, and of held-out blocks.
-pub(crate) const MIN_RELEVANT_SHARE: f64 = 0.01;
+pub(crate) const MIN_RELEVANT_RMS_SHARE: f64 = 0.01;
 
 impl<'p> Search<'p> {
     pub(crate) fn new(problem: &'p FitProblem, start: &Model, breadth: SearchScope) -> Self {
@@ -141,7 +141,7 @@ impl<'p> Search<'p> {
             problem,
             // No interval is asked of them: the memory of the noise does not matter.
             folds: Folds::new(problem, 0.0),
-            relevant_um: MIN_RELEVANT_SHARE * fitted.rms(),
+            relevant_um: MIN_RELEVANT_RMS_SHARE * fitted.rms(),
             fitted,
             added: Vec::new(),
             breadth,
@@ -181,13 +181,13 @@ impl<'p> Search<'p> {
     }
 
     /// Another cause takes the place of a term.
-    pub(crate) fn replace(&mut self, index: usize, by: Extension) {
+    pub(crate) fn replace_term(&mut self, index: usize, by: Extension) {
         self.fitted = by.fitted;
         self.added[index].cause = by.cause;
     }
 
     /// A term leaves; `without` is the model without it.
-    pub(crate) fn remove(&mut self, index: usize, without: FittedModel) {
+    pub(crate) fn remove_term(&mut self, index: usize, without: FittedModel) {
         self.fitted = without;
         self.added.remove(index);
     }

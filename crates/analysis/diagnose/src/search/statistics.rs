@@ -41,7 +41,7 @@ pub(crate) struct TrialGram {
 
 /// T and U of each trial on each of `lists`, next to the columns of the model's own values. `own` is empty, or what
 /// other lists have left there for the same trials and noises.
-pub(crate) fn compute_statistics(
+pub(crate) fn compute_scan_statistics(
     trials: &[Trial],
     nuisance: &[Vec<f64>],
     lists: &[Vec<f64>],
@@ -141,10 +141,10 @@ struct Projector {
 
 impl Projector {
     fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>], is_known: bool) -> Self {
-        let mut columns = orthonormalise(whitener.apply_all(nuisance));
+        let mut columns = orthonormalise(whitener.whiten_columns(nuisance));
         let mut basis = columns.len();
         let mut sums = Vec::with_capacity(lists.len());
-        for mut list in whitener.apply_all(lists) {
+        for mut list in whitener.whiten_columns(lists) {
             for column in &columns[..basis] {
                 let share = dot(&list, column);
                 list.iter_mut().zip(column).for_each(|(v, c)| *v -= share * c);
@@ -181,7 +181,7 @@ impl Projector {
         let columns: Vec<&Vec<f64>> = trials.iter().flat_map(|trial| &trial.columns).collect();
         let rows = self.left.ncols();
         let mut white = DMatrix::zeros(rows, columns.len());
-        whitener.apply_into(&columns, white.as_mut_slice());
+        whitener.whiten_columns_into(&columns, white.as_mut_slice());
         let products = self.inner_products(&white);
         let lists = self.sums.len();
         let mut first = 0;

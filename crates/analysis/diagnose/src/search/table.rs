@@ -8,7 +8,7 @@ use trueup_numerics::{
 
 use crate::{
     fit::{FitProblem, FittedModel, fit},
-    gain::Gain,
+    gain::TermGain,
     model::Model,
     repeats::TargetPositions,
     search::{
@@ -48,7 +48,7 @@ impl Search<'_> {
             return false;
         }
         let reduction = self.folds.rms_reduction(&before, &there);
-        let gain = Gain::new([without.rms(), with.rms()], [&before, &there], &reduction);
+        let gain = TermGain::new([without.rms(), with.rms()], [&before, &there], &reduction);
         self.fitted = with;
         self.added.retain(|term| !is_own_axis_term(&term.cause));
         let added = |term: ModelPart| AddedTerm { cause: term.kind, gain, tried: Vec::new() };

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_campaigns::spindle_trial::{MachineFileDefect, RATED_RPM, SpindleTrial};
+use trueup_campaigns::spindle_trial::{RATED_RPM, SpindleFileDefect, SpindleTrial};
 use trueup_diagnose::{Diagnosis, NextRun, SpindleSegment, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -27,10 +27,10 @@ impl Tried for SpindleTrial {
 
     fn truth(&self) -> &'static [&'static str] {
         match self.wrong {
-            MachineFileDefect::Centrifugal => &["centrifugal-growth"],
-            MachineFileDefect::Column => &["extra-heat-path of temp_column_c"],
-            MachineFileDefect::Lag => &["thermal-lag"],
-            MachineFileDefect::Growth => &["growth-amplitude"],
+            SpindleFileDefect::Centrifugal => &["centrifugal-growth"],
+            SpindleFileDefect::Column => &["extra-heat-path of temp_column_c"],
+            SpindleFileDefect::Lag => &["thermal-lag"],
+            SpindleFileDefect::Growth => &["growth-amplitude"],
         }
     }
 

@@ -8,7 +8,7 @@ use super::{
     record::CircleRecord,
     search::search_nonlinear_terms,
     term_selection::{SelectedModel, TermGroup, select_terms},
-    terms::{CircleTerm, travel_since_reversal},
+    terms::{CircleTerm, travel_since_reversal_mm},
 };
 use crate::report::ResidualStatistics;
 
@@ -17,9 +17,9 @@ const BACKLASH_TRAVEL_FACTOR: f64 = 1.3;
 /// Rows whose means are held against the noise of single rows, in degrees.
 const BIN_WIDTH_DEG: f64 = 10.0;
 /// Variances of the means in those of noise from which on there is structure.
-const MIN_VARIANCE_RATIO: f64 = 3.0;
+const MIN_SYSTEMATIC_VARIANCE_RATIO: f64 = 3.0;
 /// Structure below this share of the noise matters to no part.
-const MIN_STRUCTURE_TO_NOISE_RATIO: f64 = 0.5;
+const MIN_SYSTEMATIC_TO_NOISE_RATIO: f64 = 0.5;
 /// The same in µm.
 const MIN_SYSTEMATIC_RMS_UM: f64 = 0.2;
 
@@ -75,7 +75,7 @@ fn without_backlash_rows(record: &CircleRecord, play_um: [f64; 2]) -> CircleReco
     let step = record.covered_arc_rad() * passes / record.rows.len() as f64;
     record.without_rows(|row| {
         (0..2).any(|axis| {
-            let travel = travel_since_reversal(row, axis, record.radius_mm, step);
+            let travel = travel_since_reversal_mm(row, axis, record.radius_mm, step);
             travel < BACKLASH_TRAVEL_FACTOR * play_um[axis] / 1e3
         })
     })
@@ -101,7 +101,7 @@ fn systematic_rms_um(record: &CircleRecord, left: &[f64]) -> Option<f64> {
     let found = rms(&means).powi(2);
     let um = (found - expected).max(0.0).sqrt();
     let is_there = means.len() > 8
-        && found > MIN_VARIANCE_RATIO * expected
-        && um > (MIN_STRUCTURE_TO_NOISE_RATIO * noise).max(MIN_SYSTEMATIC_RMS_UM);
+        && found > MIN_SYSTEMATIC_VARIANCE_RATIO * expected
+        && um > (MIN_SYSTEMATIC_TO_NOISE_RATIO * noise).max(MIN_SYSTEMATIC_RMS_UM);
     is_there.then_some(um)
 }

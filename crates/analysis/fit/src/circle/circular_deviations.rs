@@ -18,7 +18,7 @@ use trueup_numerics::least_squares::normal::solve;
 use super::{record::CircleRecord, term_selection::setup_columns, terms::CircleTerm};
 
 /// Angles at which both directions are compared.
-const ANGLE_COUNT: usize = 360;
+const ANGLE_BIN_COUNT: usize = 360;
 
 /// The figures of one circle, in µm; counter-clockwise first, `None` where a direction or a part of the circle is missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -50,7 +50,7 @@ impl CircularDeviations {
                 continue;
             }
             let (about_centre, radius_um) = remove_centre_offset(of_sense);
-            let about = if is_whole { about_centre } else { measured_um(of_sense) };
+            let about = if is_whole { about_centre } else { measured_deviations_um(of_sense) };
             let [low, high] = min_max(&about);
             it.g_um[index] = is_whole.then_some(high - low);
             (it.f_max_um[index], it.f_min_um[index]) = (Some(high), Some(low));
@@ -62,13 +62,13 @@ impl CircularDeviations {
             let (about_centre, _) = remove_centre_offset(record);
             let [low, high] = min_max(&about_centre);
             it.g_both_um = is_whole.then_some(high - low);
-            it.h_um = circular_hysteresis(record, &about_centre);
+            it.h_um = circular_hysteresis_um(record, &about_centre);
         }
         it
     }
 }
 
-fn measured_um(record: &CircleRecord) -> Vec<f64> {
+fn measured_deviations_um(record: &CircleRecord) -> Vec<f64> {
     record.rows.iter().map(|row| row.measured_um).collect()
 }
 
@@ -76,7 +76,7 @@ fn measured_um(record: &CircleRecord) -> Vec<f64> {
 fn remove_centre_offset(record: &CircleRecord) -> (Vec<f64>, f64) {
     let terms: Vec<CircleTerm> = setup_columns(record).iter().map(|column| column.term).collect();
     let columns: Vec<Vec<f64>> = terms.iter().map(|term| term.basis_column(record)).collect();
-    let mut um = measured_um(record);
+    let mut um = measured_deviations_um(record);
     let solution = solve(&columns, &um, None, 0.0);
     let mut radii = Vec::new();
     for ((term, column), size) in terms.iter().zip(&columns).zip(&solution.coefficients) {
@@ -95,10 +95,11 @@ fn min_max(um: &[f64]) -> [f64; 2] {
 }
 
 /// Returns the largest difference of the mean radii of both directions at an angle.
-fn circular_hysteresis(record: &CircleRecord, um: &[f64]) -> Option<f64> {
-    let mut sums = [vec![[0.0, 0.0]; ANGLE_COUNT], vec![[0.0, 0.0]; ANGLE_COUNT]];
+fn circular_hysteresis_um(record: &CircleRecord, um: &[f64]) -> Option<f64> {
+    let mut sums = [vec![[0.0, 0.0]; ANGLE_BIN_COUNT], vec![[0.0, 0.0]; ANGLE_BIN_COUNT]];
     for (row, um) in record.rows.iter().zip(um) {
-        let at = (row.angle.rem_euclid(TAU) / TAU * ANGLE_COUNT as f64) as usize % ANGLE_COUNT;
+        let at =
+            (row.angle.rem_euclid(TAU) / TAU * ANGLE_BIN_COUNT as f64) as usize % ANGLE_BIN_COUNT;
         let sum = &mut sums[usize::from(row.sense < 0.0)][at];
         *sum = [sum[0] + um, sum[1] + 1.0];
     }

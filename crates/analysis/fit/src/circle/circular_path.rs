@@ -70,10 +70,10 @@ pub(super) fn rotation_directions(
 /// Returns the parts in which no angle is far from the one before: between them the instrument did not read.
 fn split_at_jumps(angles: &[f64]) -> Vec<Range<usize>> {
     /// The longest step in median steps.
-    const MAX_STEP_RATIO: f64 = 6.0;
+    const MAX_STEP_TO_MEDIAN_RATIO: f64 = 6.0;
     let steps: Vec<f64> =
         angles.windows(2).map(|pair| angle_difference(pair[0], pair[1]).abs()).collect();
-    let longest = MAX_STEP_RATIO * robust::median(&mut steps.clone());
+    let longest = MAX_STEP_TO_MEDIAN_RATIO * robust::median(&mut steps.clone());
     let mut ends: Vec<usize> = (1..angles.len()).filter(|at| steps[at - 1] > longest).collect();
     ends.push(angles.len());
     let mut start = 0;

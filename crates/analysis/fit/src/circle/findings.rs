@@ -6,10 +6,10 @@ use trueup_machine::file::LinearAxis;
 
 use super::{
     record::{CircleRecord, Plane},
-    term_selection::{CrossValidatedTerm, FittedTerm, SelectedModel, TermGroup},
+    term_selection::{CrossValidatedTermGroup, FittedTerm, SelectedModel, TermGroup},
     terms::{CircleTerm, DriftParameter, WavePhase},
 };
-use crate::report::Parameter;
+use crate::report::FitParameter;
 
 /// From a value to either end of its 95 % interval, in standard errors: records have hundreds of rows.
 const NORMAL_QUANTILE_975: f64 = 1.96;
@@ -22,7 +22,7 @@ const MIN_SPIKE_T_VALUES: [f64; 2] = [4.0, 8.0];
 
 /// A cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cause {
+pub enum CircleCause {
     /// A step at the reversals of an axis.
     Backlash,
     /// A step of one axis at the reversals of the other.
@@ -45,7 +45,7 @@ pub enum Cause {
     Drift,
 }
 
-impl Cause {
+impl CircleCause {
     /// Returns its name in JSON.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -86,7 +86,7 @@ impl Cause {
 #[derive(Clone, Debug)]
 pub struct CircleFinding {
     /// The cause.
-    pub cause: Cause,
+    pub cause: CircleCause,
     /// The plane of the circle.
     pub plane: Plane,
     /// The axis in error; `None` where it is of both.
@@ -98,7 +98,7 @@ pub struct CircleFinding {
     /// Whether it is in the machine file that is written.
     pub compensated: bool,
     /// Its constants.
-    pub parameters: Vec<Parameter>,
+    pub parameters: Vec<FitParameter>,
     /// RMS of its share of the readings, in µm.
     pub rms_um: f64,
     /// The facts, a sentence each.
@@ -148,7 +148,7 @@ pub(crate) fn build_findings(record: &CircleRecord, chosen: &SelectedModel) -> V
 fn flag_doubtful_squareness(all: &mut [CircleFinding]) {
     let forms = || {
         all.iter()
-            .filter(|finding| finding.cause == Cause::Straightness)
+            .filter(|finding| finding.cause == CircleCause::Straightness)
             .flat_map(|finding| &finding.terms)
     };
     let size = |is_one: fn(&CircleTerm) -> bool| {
@@ -159,10 +159,10 @@ fn flag_doubtful_squareness(all: &mut [CircleFinding]) {
     let even = size(|term| matches!(term, CircleTerm::Form(3 | 5 | 7, _)));
     let of_line_um =
         (MIN_SQUARENESS_ODD_HARMONIC_RATIO * odd).max(MIN_SQUARENESS_EVEN_HARMONIC_RATIO * even);
-    for it in all.iter_mut().filter(|finding| finding.cause == Cause::Squareness) {
+    for it in all.iter_mut().filter(|finding| finding.cause == CircleCause::Squareness) {
         if it.terms.iter().all(|term| term.um.abs() < of_line_um) {
             it.claimed = false;
-            it.alternatives.push(Cause::Straightness.name().into());
+            it.alternatives.push(CircleCause::Straightness.name().into());
             it.next_test =
                 "a square, or `trueup fit straightness` of the axis: the line of its form is as steep"
                     .into();
@@ -172,39 +172,41 @@ fn flag_doubtful_squareness(all: &mut [CircleFinding]) {
 
 fn build_finding(
     record: &CircleRecord,
-    tried: &CrossValidatedTerm,
+    tried: &CrossValidatedTermGroup,
     terms: Vec<FittedTerm>,
 ) -> CircleFinding {
     let axes = record.plane.axes();
     let [u, v] = axes;
     let (cause, axis, along) = match &tried.unit {
-        TermGroup::Single(CircleTerm::Backlash(of)) => (Cause::Backlash, Some(axes[*of]), None),
-        TermGroup::Single(CircleTerm::Lateral(of)) => {
-            (Cause::LateralPlay, Some(axes[1 - of]), Some(axes[*of]))
+        TermGroup::Single(CircleTerm::Backlash(of)) => {
+            (CircleCause::Backlash, Some(axes[*of]), None)
         }
-        TermGroup::Single(CircleTerm::Scale) => (Cause::ScaleMismatch, None, None),
-        TermGroup::Single(CircleTerm::Servo) => (Cause::ServoMismatch, None, None),
-        TermGroup::Setup | TermGroup::Single(_) => (Cause::Squareness, None, None),
-        TermGroup::Even(WavePhase::Sine) => (Cause::Straightness, Some(v), Some(u)),
-        TermGroup::Even(WavePhase::Cosine) => (Cause::Straightness, Some(u), Some(v)),
-        TermGroup::OddSines => (Cause::Straightness, None, None),
-        TermGroup::EvenCosines => (Cause::PositionForm, None, None),
-        TermGroup::Drift => (Cause::Drift, None, None),
-        TermGroup::Spikes(of) => (Cause::ReversalSpike, Some(axes[*of]), Some(axes[*of])),
-        TermGroup::Cyclic(of, _) => (Cause::CyclicError, Some(axes[*of]), None),
+        TermGroup::Single(CircleTerm::Lateral(of)) => {
+            (CircleCause::LateralPlay, Some(axes[1 - of]), Some(axes[*of]))
+        }
+        TermGroup::Single(CircleTerm::Scale) => (CircleCause::ScaleMismatch, None, None),
+        TermGroup::Single(CircleTerm::Servo) => (CircleCause::ServoMismatch, None, None),
+        TermGroup::Setup | TermGroup::Single(_) => (CircleCause::Squareness, None, None),
+        TermGroup::Even(WavePhase::Sine) => (CircleCause::Straightness, Some(v), Some(u)),
+        TermGroup::Even(WavePhase::Cosine) => (CircleCause::Straightness, Some(u), Some(v)),
+        TermGroup::OddSines => (CircleCause::Straightness, None, None),
+        TermGroup::EvenCosines => (CircleCause::PositionForm, None, None),
+        TermGroup::Drift => (CircleCause::Drift, None, None),
+        TermGroup::Spikes(of) => (CircleCause::ReversalSpike, Some(axes[*of]), Some(axes[*of])),
+        TermGroup::Cyclic(of, _) => (CircleCause::CyclicError, Some(axes[*of]), None),
     };
     let mut it = CircleFinding {
         cause,
         plane: record.plane,
         axis,
-        along: along.filter(|_| cause != Cause::ReversalSpike),
+        along: along.filter(|_| cause != CircleCause::ReversalSpike),
         claimed: tried.is_gain,
         compensated: false,
         parameters: build_parameters(record, cause, &terms),
         rms_um: tried.rms_um,
         evidence: vec![format!(
             "{}: {:.2} µm RMS without it, {:.2} µm with it",
-            if cause == Cause::ReversalSpike { "left" } else { "on held-out arcs" },
+            if cause == CircleCause::ReversalSpike { "left" } else { "on held-out arcs" },
             tried.held_out_um[0],
             tried.held_out_um[1]
         )],
@@ -212,7 +214,7 @@ fn build_finding(
         next_test: String::new(),
         terms,
     };
-    if cause == Cause::ReversalSpike {
+    if cause == CircleCause::ReversalSpike {
         let heights =
             it.parameters.iter().filter_map(|parameter| Some((parameter.value, parameter.ci95?)));
         let size = |(um, [low, high]): (f64, [f64; 2])| {
@@ -241,15 +243,15 @@ fn add_ambiguities(record: &CircleRecord, it: &mut CircleFinding) {
     let plane = record.plane.name();
     let other_way = format!("measure the same circle in {plane} in the other direction too");
     match it.cause {
-        Cause::Squareness if one_way => {
-            it.alternatives.push(Cause::ServoMismatch.name().into());
+        CircleCause::Squareness if one_way => {
+            it.alternatives.push(CircleCause::ServoMismatch.name().into());
             it.next_test = other_way;
         }
-        Cause::ScaleMismatch if one_way => {
-            it.alternatives.push(Cause::LateralPlay.name().into());
+        CircleCause::ScaleMismatch if one_way => {
+            it.alternatives.push(CircleCause::LateralPlay.name().into());
             it.next_test = other_way;
         }
-        Cause::Straightness => match (it.axis, it.along) {
+        CircleCause::Straightness => match (it.axis, it.along) {
             (Some(error), Some(along)) => it.evidence.push(format!(
                 "a bend in the positions of {0} would look the same. A circle at another place of {0} or `trueup fit pitch` of {0} separates them; `trueup program straightness` measures the form along {1} itself",
                 error.name(),
@@ -264,7 +266,7 @@ fn add_ambiguities(record: &CircleRecord, it: &mut CircleFinding) {
                 );
             }
         },
-        Cause::PositionForm => {
+        CircleCause::PositionForm => {
             it.alternatives.extend([format!("{} of {u}", it.cause.name()), format!("{} of {v}", it.cause.name())]);
             it.next_test = format!("measure the positions of {u} and {v}: `trueup program pitch`, then `trueup fit pitch`");
         }
@@ -286,54 +288,58 @@ fn cause_name(record: &CircleRecord, unit: &TermGroup) -> String {
     let axes = record.plane.axes().map(LinearAxis::name);
     match unit {
         TermGroup::Single(CircleTerm::Backlash(of)) => {
-            format!("{} of {}", Cause::Backlash.name(), axes[*of])
+            format!("{} of {}", CircleCause::Backlash.name(), axes[*of])
         }
         TermGroup::Single(CircleTerm::Lateral(of)) => {
-            format!("{} of {}", Cause::LateralPlay.name(), axes[*of])
+            format!("{} of {}", CircleCause::LateralPlay.name(), axes[*of])
         }
-        TermGroup::Single(CircleTerm::Scale) => Cause::ScaleMismatch.name().into(),
-        TermGroup::Single(CircleTerm::Servo) => Cause::ServoMismatch.name().into(),
-        TermGroup::Even(_) | TermGroup::OddSines => Cause::Straightness.name().into(),
-        TermGroup::EvenCosines => Cause::PositionForm.name().into(),
-        TermGroup::Drift => Cause::Drift.name().into(),
-        TermGroup::Spikes(of) => format!("{} of {}", Cause::ReversalSpike.name(), axes[*of]),
-        TermGroup::Cyclic(of, _) => format!("{} of {}", Cause::CyclicError.name(), axes[*of]),
-        TermGroup::Setup | TermGroup::Single(_) => Cause::Squareness.name().into(),
+        TermGroup::Single(CircleTerm::Scale) => CircleCause::ScaleMismatch.name().into(),
+        TermGroup::Single(CircleTerm::Servo) => CircleCause::ServoMismatch.name().into(),
+        TermGroup::Even(_) | TermGroup::OddSines => CircleCause::Straightness.name().into(),
+        TermGroup::EvenCosines => CircleCause::PositionForm.name().into(),
+        TermGroup::Drift => CircleCause::Drift.name().into(),
+        TermGroup::Spikes(of) => format!("{} of {}", CircleCause::ReversalSpike.name(), axes[*of]),
+        TermGroup::Cyclic(of, _) => format!("{} of {}", CircleCause::CyclicError.name(), axes[*of]),
+        TermGroup::Setup | TermGroup::Single(_) => CircleCause::Squareness.name().into(),
     }
 }
 
 /// Returns the constants of a cause.
-fn build_parameters(record: &CircleRecord, cause: Cause, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_parameters(
+    record: &CircleRecord,
+    cause: CircleCause,
+    terms: &[FittedTerm],
+) -> Vec<FitParameter> {
     let Some(first) = terms.first() else { return Vec::new() };
     let scaled = |name: &str, term: &FittedTerm, factor: f64| {
-        Parameter::amplitude(
+        FitParameter::amplitude(
             name,
             factor * term.um,
             NORMAL_QUANTILE_975 * (factor * term.standard_error_um).abs(),
         )
     };
     match cause {
-        Cause::Backlash | Cause::LateralPlay => vec![scaled("width_um", first, 1.0)],
-        Cause::Squareness | Cause::ScaleMismatch => vec![
+        CircleCause::Backlash | CircleCause::LateralPlay => vec![scaled("width_um", first, 1.0)],
+        CircleCause::Squareness | CircleCause::ScaleMismatch => vec![
             scaled("um_per_m", first, 2e3 / record.radius_mm),
             scaled("amplitude_um", first, 1.0),
         ],
-        Cause::ServoMismatch => {
+        CircleCause::ServoMismatch => {
             let mut all = vec![scaled("amplitude_um", first, 1.0)];
-            if let Some(feed) = record.feed_mm_per_min() {
+            if let Some(feed) = record.median_feed_mm_per_min() {
                 // 2·amplitude / F, in ms.
                 all.push(scaled("lag_difference_ms", first, 2.0 / (feed / 60.0)));
-                all.push(Parameter::fixed("feed_mm_per_min", feed));
+                all.push(FitParameter::fixed("feed_mm_per_min", feed));
             }
             all
         }
-        Cause::ReversalSpike => build_spike_parameters(record, terms),
-        Cause::CyclicError => build_cyclic_parameters(record, terms),
-        Cause::Straightness | Cause::PositionForm => {
+        CircleCause::ReversalSpike => build_spike_parameters(record, terms),
+        CircleCause::CyclicError => build_cyclic_parameters(record, terms),
+        CircleCause::Straightness | CircleCause::PositionForm => {
             let largest = terms.iter().map(|term| term.um.abs()).fold(0.0, f64::max);
             let error = terms.iter().map(|term| term.standard_error_um.powi(2)).sum::<f64>().sqrt();
             let range = straightness_range_um(terms);
-            let mut all = vec![Parameter::fitted(
+            let mut all = vec![FitParameter::fitted(
                 "range_um",
                 range,
                 NORMAL_QUANTILE_975 * error * range / largest.max(f64::MIN_POSITIVE),
@@ -346,14 +352,14 @@ fn build_parameters(record: &CircleRecord, cause: Cause, terms: &[FittedTerm]) -
             }));
             all
         }
-        Cause::Drift => build_drift_parameters(record, terms),
+        CircleCause::Drift => build_drift_parameters(record, terms),
     }
 }
 
 /// Returns the height of each spike, the peak of its shapes' sum, and the width of the highest.
-fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<FitParameter> {
     /// Steps of an angle.
-    const ANGLE_STEPS: i32 = 600;
+    const HALF_RANGE_STEPS: i32 = 600;
     let mut all = Vec::new();
     let (mut highest, mut width_rad) = (0.0, 0.0);
     for (is_positive, sense) in [(true, 1.0), (true, -1.0), (false, 1.0), (false, -1.0)] {
@@ -369,7 +375,7 @@ fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Pa
             };
             own.iter().map(of).sum::<f64>()
         };
-        let curve: Vec<f64> = (-ANGLE_STEPS..ANGLE_STEPS).map(at).collect();
+        let curve: Vec<f64> = (-HALF_RANGE_STEPS..HALF_RANGE_STEPS).map(at).collect();
         let Some(peak) = curve.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())) else {
             continue;
         };
@@ -382,7 +388,7 @@ fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Pa
             .fold(f64::INFINITY, f64::min);
         let end = if is_positive { "positive" } else { "negative" };
         let way = if sense > 0.0 { "ccw" } else { "cw" };
-        all.push(Parameter::amplitude(
+        all.push(FitParameter::amplitude(
             format!("height_{end}_end_{way}_um"),
             peak,
             NORMAL_QUANTILE_975 * error,
@@ -393,12 +399,12 @@ fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Pa
             width_rad = (wide as f64 / 20.0).to_radians();
         }
     }
-    all.push(Parameter::fixed("width_deg", width_rad.to_degrees()));
-    all.push(Parameter::fixed("width_mm", width_rad * record.radius_mm));
+    all.push(FitParameter::fixed("width_deg", width_rad.to_degrees()));
+    all.push(FitParameter::fixed("width_mm", width_rad * record.radius_mm));
     all
 }
 
-fn build_cyclic_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_cyclic_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<FitParameter> {
     let of = |wave: WavePhase| {
         terms
             .iter()
@@ -414,9 +420,9 @@ fn build_cyclic_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<P
     let spread = record.radius_mm / 2.0;
     let period_error = error / amplitude * period_mm * period_mm / (TAU * spread);
     vec![
-        Parameter::amplitude("amplitude_um", amplitude, NORMAL_QUANTILE_975 * error),
-        Parameter::fitted("period_mm", period_mm, NORMAL_QUANTILE_975 * period_error),
-        Parameter::fitted(
+        FitParameter::amplitude("amplitude_um", amplitude, NORMAL_QUANTILE_975 * error),
+        FitParameter::fitted("period_mm", period_mm, NORMAL_QUANTILE_975 * period_error),
+        FitParameter::fitted(
             "phase_deg",
             cosine.um.atan2(sine.um).to_degrees(),
             NORMAL_QUANTILE_975 * (error / amplitude).to_degrees(),
@@ -424,7 +430,7 @@ fn build_cyclic_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<P
     ]
 }
 
-fn build_drift_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_drift_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<FitParameter> {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
     let [first, last] = record.clock;
     let (unit, factor) = if record.has_time && last > first {
@@ -440,7 +446,7 @@ fn build_drift_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Pa
             DriftParameter::CentreV => format!("{v}_{unit}"),
         };
         let half = NORMAL_QUANTILE_975 * (factor * term.standard_error_um).abs();
-        Some(Parameter::amplitude(name, factor * term.um, half))
+        Some(FitParameter::amplitude(name, factor * term.um, half))
     };
     terms.iter().filter_map(parameter).collect()
 }

@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 
 use trueup_machine::{
-    BadInput, Machine, RunFile, applied_offsets::applied_offsets_um, file::LinearAxis,
+    InputFileError, Machine, RunFile, applied_offsets::applied_offsets_um, file::LinearAxis,
     predict::Predictor,
 };
 
-use super::record::{CircleRecord, READING_COLUMN};
+use super::record::{CircleRecord, RADIAL_DEVIATION_COLUMN};
 use crate::partial_prediction::{is_model_input, restrict_to_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
@@ -37,8 +37,8 @@ pub(crate) fn remove_applied_offsets(
     run: &RunFile,
     machine: Option<&Machine>,
     warnings: &mut Vec<String>,
-) -> Result<RadialReadings, BadInput> {
-    let readings_um = run.require_column(READING_COLUMN)?.to_vec();
+) -> Result<RadialReadings, InputFileError> {
+    let readings_um = run.require_column(RADIAL_DEVIATION_COLUMN)?.to_vec();
     let (offsets_um, notes) = match applied_offsets_um(run, machine)? {
         Some((offsets_um, notes)) => (Some(offsets_um), notes),
         None => (None, Vec::new()),
@@ -53,7 +53,7 @@ pub(crate) fn subtract_prediction(
     runs: &[RunFile],
     machine: &Machine,
     warnings: &mut Vec<String>,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let axes = record.plane.axes();
     let own = restrict_to_plane(machine, axes);
     record.play_um = axes.map(|axis| {
@@ -76,7 +76,7 @@ pub(crate) fn subtract_prediction(
                 missing.join(", ")
             ));
         }
-        let stated = with_directions(record, run, &used, &rows)?;
+        let stated = build_run_with_directions(record, run, &used, &rows)?;
         let predictor = Predictor::new(&used, &stated)?;
         for (at, predicted) in rows.into_iter().zip(predictor.predictions()) {
             let row = &mut record.rows[at];
@@ -108,12 +108,12 @@ fn restrict_to_plane(machine: &Machine, axes: [LinearAxis; 2]) -> Machine {
 }
 
 /// Returns these rows as a run with the direction of each axis, and 0 for a position that stands still and is not stated.
-fn with_directions(
+fn build_run_with_directions(
     record: &CircleRecord,
     run: &RunFile,
     machine: &Machine,
     rows: &[usize],
-) -> Result<RunFile, BadInput> {
+) -> Result<RunFile, InputFileError> {
     let is_other = |name: &str| name.ends_with("_deg") || is_model_input(machine, name);
     let others = run.columns().iter().filter(|column| is_other(&column.name));
     let others: Vec<(&str, &[f64])> = others

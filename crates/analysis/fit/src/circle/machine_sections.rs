@@ -8,20 +8,20 @@ use trueup_machine::{
     Machine,
     file::{
         BSpline, Backlash, Feedback, LinearAxis, PitchErrorTable, Squareness,
-        writer::{Edit, NewSection, round_to_decimals},
+        writer::{MachineFileEdit, NewSection, round_to_decimals},
     },
-    model::{pitch_um, spline_um},
+    model::{pitch_error_um, spline_value_um},
 };
 
 use super::{
     CircleResult,
-    findings::{Cause, CircleFinding, straightness_um},
+    findings::{CircleCause, CircleFinding, straightness_um},
     terms::{CircleTerm, WavePhase},
 };
 use crate::bspline;
 
 /// Digits after the point, in µm: the board's step is 1 nm.
-const COEFFICIENT_DECIMALS: i32 = 3;
+const MACHINE_FILE_DECIMALS: i32 = 3;
 /// Points of a table in a period of a cyclic error: lines between them leave 5 % of it.
 const POINTS_PER_PERIOD: f64 = 10.0;
 /// The most points of a table that this fit writes.
@@ -34,8 +34,9 @@ pub(crate) fn write_sections(
     circles: &mut [CircleResult],
     machine: Option<&Machine>,
     warnings: &mut Vec<String>,
-) -> (Edit, Vec<String>) {
-    let mut out = SectionWriter { machine, edit: Edit::default(), written: Vec::new(), warnings };
+) -> (MachineFileEdit, Vec<String>) {
+    let mut out =
+        SectionWriter { machine, edit: MachineFileEdit::default(), written: Vec::new(), warnings };
     out.write_squareness(circles);
     out.write_positioning(circles);
     out.write_straightness(circles);
@@ -44,20 +45,20 @@ pub(crate) fn write_sections(
 
 struct SectionWriter<'m> {
     machine: Option<&'m Machine>,
-    edit: Edit,
+    edit: MachineFileEdit,
     written: Vec<String>,
     warnings: &'m mut Vec<String>,
 }
 
 /// Returns the claimed findings of a cause, each with the number of its circle.
-fn claimed_findings(circles: &[CircleResult], cause: Cause) -> Vec<(usize, usize)> {
+fn claimed_finding_indices(circles: &[CircleResult], cause: CircleCause) -> Vec<(usize, usize)> {
     let mut found = Vec::new();
     for (circle, result) in circles.iter().enumerate() {
         let own = result.findings.iter().enumerate();
         // A slope of which is open whether it is a form's line is the slope of the plane all the same.
         let is_line = |finding: &CircleFinding| {
-            finding.cause == Cause::Squareness
-                && finding.alternatives == [Cause::Straightness.name()]
+            finding.cause == CircleCause::Squareness
+                && finding.alternatives == [CircleCause::Straightness.name()]
         };
         let own = own
             .filter(|(_, finding)| finding.cause == cause && (finding.claimed || is_line(finding)));
@@ -79,7 +80,7 @@ impl SectionWriter<'_> {
         let mut angles: Vec<Squareness> =
             self.machine.map(|machine| machine.squareness.clone()).unwrap_or_default();
         let mut is_changed = false;
-        let found = claimed_findings(circles, Cause::Squareness);
+        let found = claimed_finding_indices(circles, CircleCause::Squareness);
         let plane_of = |circle: usize| circles[circle].record.plane;
         // Several circles in a plane show one angle: each adds its share of the mean.
         let shares: Vec<f64> = found
@@ -105,13 +106,13 @@ impl SectionWriter<'_> {
             match angles.iter_mut().find(|angle| is_own(angle, error, along)) {
                 Some(angle) => {
                     angle.um_per_m =
-                        round_to_decimals(angle.um_per_m + um_per_m, COEFFICIENT_DECIMALS)
+                        round_to_decimals(angle.um_per_m + um_per_m, MACHINE_FILE_DECIMALS)
                 }
                 None => {
                     angles.push(Squareness {
                         error,
                         along,
-                        um_per_m: round_to_decimals(um_per_m, COEFFICIENT_DECIMALS),
+                        um_per_m: round_to_decimals(um_per_m, MACHINE_FILE_DECIMALS),
                     });
                 }
             }
@@ -149,11 +150,11 @@ impl SectionWriter<'_> {
                 ));
             } else if scale != 0.0 || !waves.is_empty() {
                 pitch = Some(build_pitch_table(circles, axis, pitch.as_ref(), scale, &waves));
-                for (circle, at) in claimed_findings(circles, Cause::CyclicError) {
+                for (circle, at) in claimed_finding_indices(circles, CircleCause::CyclicError) {
                     let it = &mut circles[circle].findings[at];
                     it.compensated |= it.axis == Some(axis);
                 }
-                for (circle, at) in claimed_findings(circles, Cause::ScaleMismatch) {
+                for (circle, at) in claimed_finding_indices(circles, CircleCause::ScaleMismatch) {
                     let axes = circles[circle].record.plane.axes();
                     circles[circle].findings[at].compensated |= axes.contains(&axis);
                 }
@@ -167,7 +168,7 @@ impl SectionWriter<'_> {
             match (width_um, reverse) {
                 (Some(width_um), Some(reverse)) => {
                     reverse.iter_mut().for_each(|um| {
-                        *um = round_to_decimals(*um + width_um, COEFFICIENT_DECIMALS)
+                        *um = round_to_decimals(*um + width_um, MACHINE_FILE_DECIMALS)
                     });
                 }
                 (Some(width_um), None) => {
@@ -175,7 +176,7 @@ impl SectionWriter<'_> {
                         own.and_then(|own| own.backlash).map_or(0.0, |backlash| backlash.width_um);
                     let section = Backlash::width_section(
                         axis,
-                        round_to_decimals(there + width_um, COEFFICIENT_DECIMALS),
+                        round_to_decimals(there + width_um, MACHINE_FILE_DECIMALS),
                     )
                     .with_header_comment("From circles: trueup fit circle.");
                     self.edit.sections.push(section);
@@ -194,7 +195,7 @@ impl SectionWriter<'_> {
 
     /// Returns the backlash of an axis, the mean of its circles, and marks the findings; `None` where it is not written.
     fn write_backlash(&mut self, circles: &mut [CircleResult], axis: LinearAxis) -> Option<f64> {
-        let own: Vec<(usize, usize)> = claimed_findings(circles, Cause::Backlash)
+        let own: Vec<(usize, usize)> = claimed_finding_indices(circles, CircleCause::Backlash)
             .into_iter()
             .filter(|(circle, at)| circles[*circle].findings[*at].axis == Some(axis))
             .collect();
@@ -230,7 +231,7 @@ impl SectionWriter<'_> {
     }
 
     fn write_straightness(&mut self, circles: &mut [CircleResult]) {
-        for (circle, at) in claimed_findings(circles, Cause::Straightness) {
+        for (circle, at) in claimed_finding_indices(circles, CircleCause::Straightness) {
             let record = &circles[circle].record;
             let finding = &circles[circle].findings[at];
             let (Some(error), Some(along)) = (finding.axis, finding.along) else { continue };
@@ -252,7 +253,7 @@ impl SectionWriter<'_> {
             let at_mm = |mm: f64| {
                 let share = ((mm - centre) / radius).clamp(-1.0, 1.0);
                 straightness_um(&finding.terms, share)
-                    + there.map_or(0.0, |there| spline_um(&there.spline, mm))
+                    + there.map_or(0.0, |there| spline_value_um(&there.spline, mm))
             };
             let Some(spline) = fit_spline(centre, radius, there.map(|curve| &curve.spline), at_mm)
             else {
@@ -278,7 +279,7 @@ impl SectionWriter<'_> {
 fn scales_um_per_m(circles: &[CircleResult]) -> [f64; 3] {
     let mut scales = [0.0; 3];
     for _ in 0..KACZMARZ_ITERATIONS {
-        for (circle, at) in claimed_findings(circles, Cause::ScaleMismatch) {
+        for (circle, at) in claimed_finding_indices(circles, CircleCause::ScaleMismatch) {
             let [u, v] = circles[circle].record.plane.axes().map(LinearAxis::index);
             let found = parameter_value(&circles[circle].findings[at], "um_per_m");
             let missing = 0.5 * (found - (scales[u] - scales[v]));
@@ -295,7 +296,7 @@ type CyclicError = [f64; 3];
 /// Returns the cyclic errors of an axis; one that several circles show is their mean.
 fn mean_cyclic_errors(circles: &[CircleResult], axis: LinearAxis) -> Vec<CyclicError> {
     let mut all: Vec<(CyclicError, f64)> = Vec::new();
-    for (circle, at) in claimed_findings(circles, Cause::CyclicError) {
+    for (circle, at) in claimed_finding_indices(circles, CircleCause::CyclicError) {
         let finding = &circles[circle].findings[at];
         if finding.axis != Some(axis) {
             continue;
@@ -336,7 +337,7 @@ fn build_pitch_table(
     let of_circles = ends
         .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
         .unwrap_or_default()
-        .map(|mm| round_to_decimals(mm, COEFFICIENT_DECIMALS));
+        .map(|mm| round_to_decimals(mm, MACHINE_FILE_DECIMALS));
     let [mut first, mut last] = of_circles;
     let mut step = last - first;
     if let Some(there) = there {
@@ -347,7 +348,7 @@ fn build_pitch_table(
     for [.., period_mm] in waves {
         step = step.min(period_mm / POINTS_PER_PERIOD);
     }
-    step = round_to_decimals(step.max((last - first) / MAX_POINTS), COEFFICIENT_DECIMALS);
+    step = round_to_decimals(step.max((last - first) / MAX_POINTS), MACHINE_FILE_DECIMALS);
     let points = ((last - first) / step).ceil() as usize + 1;
     let middle = 0.5 * (of_circles[0] + of_circles[1]);
     let added = |mm: f64| {
@@ -362,9 +363,9 @@ fn build_pitch_table(
     let of = |direction: f64| -> Vec<f64> {
         let um = |n: usize| {
             let mm = first + step * n as f64;
-            added(mm) + there.map_or(0.0, |there| pitch_um(there, mm, direction))
+            added(mm) + there.map_or(0.0, |there| pitch_error_um(there, mm, direction))
         };
-        (0..points).map(|n| round_to_decimals(um(n), COEFFICIENT_DECIMALS)).collect()
+        (0..points).map(|n| round_to_decimals(um(n), MACHINE_FILE_DECIMALS)).collect()
     };
     let reverse_um = there.and_then(|there| there.reverse_um.as_ref()).map(|_| of(-1.0));
     PitchErrorTable { start_mm: first, step_mm: step, forward_um: of(1.0), reverse_um }
@@ -378,18 +379,18 @@ fn fit_spline(
     at_mm: impl Fn(f64) -> f64,
 ) -> Option<BSpline> {
     const SPLINE_SPAN_COUNT: u32 = 8;
-    const SAMPLE_COUNT: u32 = 400;
+    const SPLINE_SAMPLE_INTERVALS: u32 = 400;
     let part =
         |n: u32| centre - radius + 2.0 * radius * f64::from(n) / f64::from(SPLINE_SPAN_COUNT);
     let mut knots: Vec<f64> = (0..=SPLINE_SPAN_COUNT).map(part).collect();
     knots.extend(there.iter().flat_map(|curve| curve.knots_mm.iter().copied()));
-    knots.iter_mut().for_each(|mm| *mm = round_to_decimals(*mm, COEFFICIENT_DECIMALS));
+    knots.iter_mut().for_each(|mm| *mm = round_to_decimals(*mm, MACHINE_FILE_DECIMALS));
     knots.sort_unstable_by(f64::total_cmp);
     knots.dedup_by(|a, b| (*a - *b).abs() < 1e-3 * radius);
     let (first, last) = (*knots.first()?, *knots.last()?);
     let inner = &knots[1..knots.len() - 1];
-    let mut at: Vec<f64> = (0..=SAMPLE_COUNT)
-        .map(|n| first + (last - first) * f64::from(n) / f64::from(SAMPLE_COUNT))
+    let mut at: Vec<f64> = (0..=SPLINE_SAMPLE_INTERVALS)
+        .map(|n| first + (last - first) * f64::from(n) / f64::from(SPLINE_SAMPLE_INTERVALS))
         .collect();
     // Each piece has points of its own.
     at.extend(
@@ -402,9 +403,12 @@ fn fit_spline(
     // What was there keeps its zero; a new curve has none.
     let mean = if there.is_some() { 0.0 } else { um.iter().sum::<f64>() / um.len() as f64 };
     let points = at.iter().zip(&um).map(|(mm, um)| (*mm, um - mean, 1.0));
-    let mut spline =
-        bspline::fit_least_squares(bspline::clamped_knots(4, first, inner, last), 4, points)?
-            .spline;
-    spline.control_um.iter_mut().for_each(|um| *um = round_to_decimals(*um, COEFFICIENT_DECIMALS));
+    let mut spline = bspline::fit_least_squares_spline(
+        bspline::clamped_knots(4, first, inner, last),
+        4,
+        points,
+    )?
+    .spline;
+    spline.control_um.iter_mut().for_each(|um| *um = round_to_decimals(*um, MACHINE_FILE_DECIMALS));
     Some(spline)
 }

@@ -3,13 +3,15 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::file::LinearAxis;
-use trueup_page::{Colour, HtmlTable, Origin, Page, PolarPlot, Series, format_micrometres};
+use trueup_page::{
+    ChartSeries, ColourRole, HtmlTable, Page, PolarPlot, Provenance, format_micrometres,
+};
 
 use super::{CircleFinding, CircleReport, CircleResult, CircleVerdict};
 
 /// Returns the page of a report.
 #[must_use]
-pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
+pub fn build_page(report: &CircleReport, origin: &Provenance) -> Page {
     let mut page = Page::new("Circles and their causes, ISO 230-4");
     let (state, heading) = match report.verdict {
         CircleVerdict::Clean => ("good", "Clean: nothing but set-up and noise"),
@@ -19,7 +21,7 @@ pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
             ("bad", "Unexplained: nothing is claimed, and something is left")
         }
     };
-    let description: Vec<String> = report.circles.iter().map(summarise).collect();
+    let description: Vec<String> = report.circles.iter().map(summarise_circle).collect();
     page.add_card(state, heading, &description);
     for circle in &report.circles {
         write_circle(&mut page, circle);
@@ -41,7 +43,7 @@ pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
 
 /// Returns a circle and its causes in a sentence.
 #[must_use]
-pub(crate) fn summarise(circle: &CircleResult) -> String {
+pub(crate) fn summarise_circle(circle: &CircleResult) -> String {
     let named = |is_claimed: bool| -> Vec<String> {
         let own = circle.findings.iter().filter(|finding| finding.claimed == is_claimed);
         own.map(title).collect()
@@ -119,7 +121,7 @@ fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
     let record = &circle.record;
     let mut series = Vec::new();
     for (name, colour, sense) in
-        [("counter-clockwise", Colour::Before, 1.0), ("clockwise", Colour::After, -1.0)]
+        [("counter-clockwise", ColourRole::Before, 1.0), ("clockwise", ColourRole::After, -1.0)]
     {
         for (number, passes) in record.rows.chunk_by(|a, b| a.pass == b.pass).enumerate() {
             let first: usize =
@@ -128,10 +130,10 @@ fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
                 continue;
             }
             let points = passes.iter().map(|row| [row.angle.rem_euclid(TAU), row.um]).collect();
-            series.push(Series::line(name, colour, points));
+            series.push(ChartSeries::line(name, colour, points));
             let predicted = &circle.predicted_um[first..first + passes.len()];
             let points = passes.iter().zip(predicted).map(|(row, um)| [row.angle, *um]).collect();
-            series.push(Series::line("the causes", Colour::Truth, points));
+            series.push(ChartSeries::line("the causes", ColourRole::Truth, points));
         }
     }
     let causes: Vec<String> =

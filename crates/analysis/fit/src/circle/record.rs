@@ -9,7 +9,7 @@ use super::circular_path::angle_difference;
 use crate::report::ExcludedRow;
 
 /// The column with the readings.
-pub(crate) const READING_COLUMN: &str = "measured_dr_um";
+pub(crate) const RADIAL_DEVIATION_COLUMN: &str = "measured_dr_um";
 
 /// The plane of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -129,7 +129,7 @@ impl CircleRecord {
 
     /// Returns the middle feed, in mm/min: that of the column, else of positions and time.
     #[must_use]
-    pub fn feed_mm_per_min(&self) -> Option<f64> {
+    pub fn median_feed_mm_per_min(&self) -> Option<f64> {
         let mut feeds: Vec<f64> = self
             .rows
             .iter()

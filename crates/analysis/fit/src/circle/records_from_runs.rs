@@ -6,23 +6,23 @@
 
 use std::f64::consts::{PI, TAU};
 
-use trueup_machine::{BadInput, Location, Machine, RunFile, file::LinearAxis};
+use trueup_machine::{InputFileError, Location, Machine, RunFile, file::LinearAxis};
 use trueup_numerics::robust;
 
 use super::{
     circular_path::{angle_difference, fit_circle, rotation_directions},
     known_contributions,
-    record::{CircleRecord, CircleRow, Plane, READING_COLUMN},
-    terms::angle_since_reversal,
+    record::{CircleRecord, CircleRow, Plane, RADIAL_DEVIATION_COLUMN},
+    terms::angle_since_reversal_rad,
 };
 use crate::report::ExcludedRow;
 
 /// Fewer rows of a circle are no record.
-const MIN_ROWS: usize = 24;
+const MIN_RECORD_ROWS: usize = 24;
 /// A shorter arc distinguishes nothing, in rad.
 const MIN_ARC_RAD: f64 = 170.0 / 360.0 * TAU;
 /// A position that moves less than this share of the largest movement stands still.
-const STATIONARY_TRAVEL_RATIO: f64 = 0.02;
+const MAX_STATIONARY_TRAVEL_RATIO: f64 = 0.02;
 /// A row farther from the circle than this share of the radius is a feed-in or a feed-out.
 const MAX_RELATIVE_RADIUS_DEVIATION: f64 = 0.01;
 /// Rows to which a record is thinned by means of neighbours.
@@ -30,9 +30,9 @@ const MAX_ROWS: usize = 4_000;
 /// Circles whose centres and radii differ less, in mm, are the same.
 const CIRCLE_MATCH_TOLERANCE_MM: f64 = 0.5;
 /// A gross reading, in scatters of a reading from its neighbours.
-const GROSS_ERROR_LIMIT_STD: f64 = 12.0;
+const GROSS_ERROR_LIMIT_SIGMAS: f64 = 12.0;
 /// Around reversals steps and spikes are no gross readings, in rad.
-const REVERSAL_ZONE_RAD: f64 = 6.0 / 360.0 * TAU;
+const REVERSAL_ZONE_HALF_WIDTH_RAD: f64 = 6.0 / 360.0 * TAU;
 
 /// Rows that belong to one circle and one zero of the instrument.
 struct RowGroup {
@@ -44,33 +44,33 @@ struct RowGroup {
 ///
 /// # Errors
 /// See [`super::fit`].
-pub(crate) fn read_records(
+pub(crate) fn read_circle_records(
     runs: &[RunFile],
     machine: Option<&Machine>,
-) -> Result<(Vec<CircleRecord>, Vec<String>), BadInput> {
+) -> Result<(Vec<CircleRecord>, Vec<String>), InputFileError> {
     let mut records: Vec<CircleRecord> = Vec::new();
     let mut warnings = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let measured = known_contributions::remove_applied_offsets(run, machine, &mut warnings)?;
         for group in group_rows(run)? {
-            add_to_record(&mut records, run, file, &group, &measured)?;
+            add_group_to_record(&mut records, run, file, &group, &measured)?;
         }
     }
     let Some(first) = runs.first() else {
-        return Err(BadInput::new(Location::start_of_file("".as_ref()), "no run is given"));
+        return Err(InputFileError::new(Location::start_of_file("".as_ref()), "no run is given"));
     };
     if records.is_empty() {
-        let rule = format!("column {READING_COLUMN} has no value in any row of a circle");
-        return Err(BadInput::new(Location::start_of_file(first.path()), rule));
+        let rule = format!("column {RADIAL_DEVIATION_COLUMN} has no value in any row of a circle");
+        return Err(InputFileError::new(Location::start_of_file(first.path()), rule));
     }
     records.sort_by_key(|record| record.plane);
     for record in &mut records {
         if let Some(machine) = machine {
             known_contributions::subtract_prediction(record, runs, machine, &mut warnings)?;
         }
-        exclude_gross_readings(record, runs);
+        exclude_gross_errors(record, runs);
         check_record(record, runs)?;
-        average_neighbours(record);
+        average_neighbouring_rows(record);
         let clocks = || record.rows.iter().map(|row| row.clock);
         let clock = [clocks().fold(f64::INFINITY, f64::min), clocks().fold(f64::MIN, f64::max)];
         record.clock = clock;
@@ -83,8 +83,8 @@ fn position_column(run: &RunFile, axis: LinearAxis) -> Option<&[f64]> {
 }
 
 /// Returns the groups of rows with one `run` and `setup`, each in one plane.
-fn group_rows(run: &RunFile) -> Result<Vec<RowGroup>, BadInput> {
-    let readings = run.require_column(READING_COLUMN)?;
+fn group_rows(run: &RunFile) -> Result<Vec<RowGroup>, InputFileError> {
+    let readings = run.require_column(RADIAL_DEVIATION_COLUMN)?;
     let columns = [run.column("run"), run.column("setup")];
     let key = |row: usize| columns.map(|column| column.map(|values| values[row].to_bits()));
     let mut keys: Vec<[Option<u64>; 2]> = Vec::new();
@@ -117,12 +117,12 @@ fn position_range_mm(run: &RunFile, axis: LinearAxis, rows: &[usize]) -> f64 {
 }
 
 /// Splits rows where another axis stands still.
-fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, BadInput> {
+fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, InputFileError> {
     let ranges = LinearAxis::ALL.map(|axis| position_range_mm(run, axis, &rows));
     let most = ranges.into_iter().fold(0.0, f64::max);
     let still: Vec<LinearAxis> = LinearAxis::ALL
         .into_iter()
-        .filter(|axis| ranges[axis.index()] <= STATIONARY_TRAVEL_RATIO * most)
+        .filter(|axis| ranges[axis.index()] <= MAX_STATIONARY_TRAVEL_RATIO * most)
         .collect();
     match still[..] {
         [axis] => return Ok(vec![RowGroup { plane: Plane::perpendicular_to(axis), rows }]),
@@ -130,7 +130,10 @@ fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, BadI
         _ => {
             let rule =
                 "a circle needs two of x_mm, y_mm and z_mm that move; one or none moves here";
-            return Err(BadInput::new(run.value_location(rows[0], READING_COLUMN), rule));
+            return Err(InputFileError::new(
+                run.value_location(rows[0], RADIAL_DEVIATION_COLUMN),
+                rule,
+            ));
         }
     }
     /// Rows on both sides of one, in which the axis that stands still is looked for.
@@ -151,22 +154,24 @@ fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, BadI
             _ => groups.push(RowGroup { plane, rows: vec![rows[at]] }),
         }
     }
-    groups.retain(|group| group.rows.len() >= MIN_ROWS);
+    groups.retain(|group| group.rows.len() >= MIN_RECORD_ROWS);
     Ok(groups)
 }
 
 /// Adds the rows of a group to the record of its circle.
-fn add_to_record(
+fn add_group_to_record(
     records: &mut Vec<CircleRecord>,
     run: &RunFile,
     file: usize,
     group: &RowGroup,
     measured: &known_contributions::RadialReadings,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let axes = group.plane.axes();
     let [u, v] = axes.map(|axis| position_column(run, axis).unwrap_or_default());
     let mut rows = group.rows.clone();
-    let bad = |rule: String| BadInput::new(run.value_location(group.rows[0], READING_COLUMN), rule);
+    let bad = |rule: String| {
+        InputFileError::new(run.value_location(group.rows[0], RADIAL_DEVIATION_COLUMN), rule)
+    };
     let mut found = None;
     for _ in 0..3 {
         let points: Vec<[f64; 2]> = rows.iter().map(|row| [u[*row], v[*row]]).collect();
@@ -180,9 +185,9 @@ fn add_to_record(
         });
     }
     let (centre, radius) = found.expect("three turns");
-    if rows.len() * 5 < group.rows.len() * 4 || rows.len() < MIN_ROWS {
+    if rows.len() * 5 < group.rows.len() * 4 || rows.len() < MIN_RECORD_ROWS {
         return Err(bad(format!(
-            "{} of {} rows lie on one circle in the plane {}: {MIN_ROWS} and four fifths are needed. Give each plane and \
+            "{} of {} rows lie on one circle in the plane {}: {MIN_RECORD_ROWS} and four fifths are needed. Give each plane and \
              each circle its own number in the column run",
             rows.len(),
             group.rows.len(),
@@ -258,7 +263,7 @@ fn add_to_record(
 }
 
 /// Takes single readings out that stand far from their neighbours on both sides.
-fn exclude_gross_readings(record: &mut CircleRecord, runs: &[RunFile]) {
+fn exclude_gross_errors(record: &mut CircleRecord, runs: &[RunFile]) {
     let rows = &record.rows;
     let near = |at: usize| {
         let all = at.saturating_sub(3)..(at + 4).min(rows.len());
@@ -273,16 +278,17 @@ fn exclude_gross_readings(record: &mut CircleRecord, runs: &[RunFile]) {
     let scatter = (1.4826 * robust::median(&mut sizes)).max(0.02);
     let is_gross = |at: usize| {
         let row = &rows[at];
-        let is_near =
-            |axis: usize, end: bool| angle_since_reversal(row, axis, end).abs() < REVERSAL_ZONE_RAD;
+        let is_near = |axis: usize, end: bool| {
+            angle_since_reversal_rad(row, axis, end).abs() < REVERSAL_ZONE_HALF_WIDTH_RAD
+        };
         let near = (0..2).any(|axis| is_near(axis, true) || is_near(axis, false));
-        !near && away[at].abs() > GROSS_ERROR_LIMIT_STD * scatter
+        !near && away[at].abs() > GROSS_ERROR_LIMIT_SIGMAS * scatter
     };
     let gross: Vec<bool> = (0..rows.len()).map(is_gross).collect();
     for (at, _) in gross.iter().enumerate().filter(|(_, is)| **is) {
         let [file, row] = rows[at].source;
         record.excluded.push(ExcludedRow {
-            place: runs[file].value_location(row, READING_COLUMN),
+            place: runs[file].value_location(row, RADIAL_DEVIATION_COLUMN),
             measured_um: rows[at].measured_um,
             reason: format!("{:.3} µm from its neighbours", away[at]),
         });
@@ -291,16 +297,18 @@ fn exclude_gross_readings(record: &mut CircleRecord, runs: &[RunFile]) {
     record.rows.retain(|_| !gross.next().unwrap_or(false));
 }
 
-fn check_record(record: &CircleRecord, runs: &[RunFile]) -> Result<(), BadInput> {
+fn check_record(record: &CircleRecord, runs: &[RunFile]) -> Result<(), InputFileError> {
     let place = record.rows.first().map_or_else(
         || Location::start_of_file(runs[0].path()),
-        |row| runs[row.source[0]].value_location(row.source[1], READING_COLUMN),
+        |row| runs[row.source[0]].value_location(row.source[1], RADIAL_DEVIATION_COLUMN),
     );
     let plane = record.plane.name();
-    if record.rows.len() < MIN_ROWS {
-        let rule =
-            format!("the circle in {plane} has {} rows: {MIN_ROWS} are needed", record.rows.len());
-        return Err(BadInput::new(place, rule));
+    if record.rows.len() < MIN_RECORD_ROWS {
+        let rule = format!(
+            "the circle in {plane} has {} rows: {MIN_RECORD_ROWS} are needed",
+            record.rows.len()
+        );
+        return Err(InputFileError::new(place, rule));
     }
     let arc = record.covered_arc_rad();
     if arc < MIN_ARC_RAD {
@@ -308,13 +316,13 @@ fn check_record(record: &CircleRecord, runs: &[RunFile]) -> Result<(), BadInput>
             "the circle in {plane} covers {:.0}°: less than half a circle distinguishes no causes. Measure 180° or more",
             arc * 180.0 / PI
         );
-        return Err(BadInput::new(place, rule));
+        return Err(InputFileError::new(place, rule));
     }
     Ok(())
 }
 
 /// Replaces neighbours by their means until there are few enough rows.
-fn average_neighbours(record: &mut CircleRecord) {
+fn average_neighbouring_rows(record: &mut CircleRecord) {
     let together = record.rows.len().div_ceil(MAX_ROWS);
     if together < 2 {
         return;

@@ -9,7 +9,7 @@ use trueup_numerics::least_squares::normal::{dot, solve};
 use super::{
     record::CircleRecord,
     term_selection::{TermColumn, TermGroup, linear_columns, setup_columns},
-    terms::{CircleTerm, SpikeShape, WavePhase, angle_since_reversal},
+    terms::{CircleTerm, SpikeShape, WavePhase, angle_since_reversal_rad},
 };
 
 /// Minimum gain of a candidate, in variances of the residual: a wave by chance in 10⁻⁴ of circles.
@@ -212,7 +212,7 @@ fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
         let is_seen = |term: &CircleTerm| {
             let CircleTerm::Spike { is_positive, sense, .. } = *term else { return false };
             let near = |row: &&super::record::CircleRow| {
-                let since = angle_since_reversal(row, axis, is_positive);
+                let since = angle_since_reversal_rad(row, axis, is_positive);
                 row.sense * sense > 0.0 && (-width..2.0 * width).contains(&since)
             };
             record.rows.iter().filter(near).count() >= 2

@@ -23,14 +23,14 @@ const MIN_HARMONIC_T_VALUE: f64 = 3.0;
 /// |t| of a pair of waves or of the heights of a spike, which were searched for.
 const MIN_SEARCHED_TERM_T_VALUE: f64 = 5.5;
 /// All these are that much larger where the noise has a memory: how long it is, is known from what the causes leave.
-const AUTOCORRELATION_FACTOR: f64 = 1.35;
+const AUTOCORRELATION_T_VALUE_FACTOR: f64 = 1.35;
 /// The smallest share of a cause, RMS, in standard deviations of the noise.
-const MIN_RMS_TO_NOISE_RATIO: f64 = 0.12;
+const MIN_CONTRIBUTION_TO_NOISE_RATIO: f64 = 0.12;
 /// The same in µm: no instrument resolves less.
-const MIN_RMS_UM: f64 = 0.05;
+const MIN_CONTRIBUTION_RMS_UM: f64 = 0.05;
 /// The share of a spike's height that its tail may look like a step or an ellipse, RMS; a form.
-const MAX_TAIL_STEP_SHARE: f64 = 0.05;
-const MAX_TAIL_FORM_SHARE: f64 = 0.025;
+const MAX_SPIKE_TAIL_STEP_RATIO: f64 = 0.05;
+const MAX_SPIKE_TAIL_FORM_RATIO: f64 = 0.025;
 /// Arcs of a pass that are held out in turn.
 const ARCS_PER_PASS: usize = 12;
 /// Differences of BIC below this are none.
@@ -69,7 +69,7 @@ impl TermGroup {
     }
 
     /// Returns whether terms leave it one by one.
-    fn has_removable_terms(&self) -> bool {
+    fn has_individually_removable_terms(&self) -> bool {
         !matches!(self, Self::Cyclic(..) | Self::Spikes(_))
     }
 }
@@ -106,12 +106,12 @@ pub struct SelectedModel {
     /// The standard deviation of the noise, in µm.
     pub noise_um: f64,
     /// Of each cause: its name among the units, what it gains on held-out arcs, and the causes that do as well.
-    pub tried: Vec<CrossValidatedTerm>,
+    pub tried: Vec<CrossValidatedTermGroup>,
 }
 
 /// A cause on held-out arcs.
 #[derive(Clone, Debug)]
-pub struct CrossValidatedTerm {
+pub struct CrossValidatedTermGroup {
     /// The cause.
     pub unit: TermGroup,
     /// RMS of its share of the readings, in µm.
@@ -204,24 +204,24 @@ impl<'r> WhitenedFit<'r> {
 
     /// Makes the rows independent, by the noise that all columns leave.
     fn whiten(&mut self) {
-        let solution = solve(&self.raw, &self.raw_y(), None, 0.0);
+        let solution = solve(&self.raw, &self.unwhitened_readings_um(), None, 0.0);
         let residual = self.residual(&solution);
         let longest = noise::max_autocorrelation_time(residual.len());
         let noise = noise::estimate(&residual, &self.steps, longest, self.columns.len());
         if noise != NoiseModel::WHITE {
-            self.caution = AUTOCORRELATION_FACTOR;
+            self.caution = AUTOCORRELATION_T_VALUE_FACTOR;
             let whitener = Whitener::new(noise, &self.steps);
-            self.white = whitener.apply_all(&self.raw);
-            self.y = whitener.apply(&self.raw_y());
+            self.white = whitener.whiten_columns(&self.raw);
+            self.y = whitener.whiten(&self.unwhitened_readings_um());
         }
     }
 
-    fn raw_y(&self) -> Vec<f64> {
+    fn unwhitened_readings_um(&self) -> Vec<f64> {
         self.record.rows.iter().map(|row| row.um).collect()
     }
 
     fn residual(&self, solution: &NormalSolution) -> Vec<f64> {
-        residual(&self.raw, &self.raw_y(), &solution.coefficients)
+        residual(&self.raw, &self.unwhitened_readings_um(), &solution.coefficients)
     }
 
     /// Returns the coefficients with their standard errors.
@@ -265,7 +265,7 @@ impl<'r> WhitenedFit<'r> {
                     let unit = &self.columns[at].unit;
                     let needed = if of_unit(unit) < self.caution * unit.min_t_value() {
                         unit.min_t_value()
-                    } else if unit.has_removable_terms() {
+                    } else if unit.has_individually_removable_terms() {
                         MIN_HARMONIC_T_VALUE
                     } else {
                         0.0
@@ -278,7 +278,8 @@ impl<'r> WhitenedFit<'r> {
             let column = self.columns[at].clone();
             self.remove_columns(|other| {
                 other.unit == column.unit
-                    && (!column.unit.has_removable_terms() || other.term == column.term)
+                    && (!column.unit.has_individually_removable_terms()
+                        || other.term == column.term)
             });
         }
     }
@@ -339,15 +340,15 @@ pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedMode
     let noise_um = loop {
         let (solution, _) = fit.solve_coefficients();
         let noise_um = rms(&fit.residual(&solution));
-        let floor = (MIN_RMS_TO_NOISE_RATIO * noise_um).max(MIN_RMS_UM);
+        let floor = (MIN_CONTRIBUTION_TO_NOISE_RATIO * noise_um).max(MIN_CONTRIBUTION_RMS_UM);
         let share = |unit: &TermGroup| fit.contribution_rms_um(unit, &solution.coefficients);
         let peak = fit.max_spike_height_um(&solution.coefficients);
         let least = |unit: &TermGroup| match unit {
             // The peak of a spike is local.
             TermGroup::Spikes(_) => 0.3 * floor,
-            TermGroup::Single(_) => floor.max(MAX_TAIL_STEP_SHARE * peak),
+            TermGroup::Single(_) => floor.max(MAX_SPIKE_TAIL_STEP_RATIO * peak),
             TermGroup::Even(_) | TermGroup::OddSines | TermGroup::EvenCosines => {
-                floor.max(MAX_TAIL_FORM_SHARE * peak)
+                floor.max(MAX_SPIKE_TAIL_FORM_RATIO * peak)
             }
             _ => floor,
         };
@@ -381,8 +382,8 @@ fn cross_validate(
     fit: &WhitenedFit<'_>,
     unit: TermGroup,
     coefficients: &[f64],
-) -> CrossValidatedTerm {
-    let without: Vec<Vec<f64>> = filter_columns(fit, |column| column.unit != unit);
+) -> CrossValidatedTermGroup {
+    let without: Vec<Vec<f64>> = select_whitened_columns(fit, |column| column.unit != unit);
     let blocks = arc_indices(fit.record);
     // An arc that is held out takes its own spikes with it: no other arc predicts their heights.
     let is_local =
@@ -394,8 +395,8 @@ fn cross_validate(
         }
     }
     let models = [
-        filter_columns(fit, |column| column.unit != unit && !is_local(column)),
-        filter_columns(fit, |column| !is_local(column)),
+        select_whitened_columns(fit, |column| column.unit != unit && !is_local(column)),
+        select_whitened_columns(fit, |column| !is_local(column)),
     ];
     let [before, after] = models.map(|columns| {
         if matches!(unit, TermGroup::Spikes(_)) {
@@ -414,7 +415,7 @@ fn cross_validate(
     let error = (count as f64 / (count as f64 - 1.0).max(1.0) * scatter).sqrt();
     let alternatives = find_alternatives(fit, &unit, &without);
     let rms_um = fit.contribution_rms_um(&unit, coefficients);
-    CrossValidatedTerm {
+    CrossValidatedTermGroup {
         unit,
         rms_um,
         held_out_um: [rms(&before), rms(&after)],
@@ -424,7 +425,7 @@ fn cross_validate(
 }
 
 /// Returns the whitened columns for which `is_kept` holds.
-fn filter_columns(
+fn select_whitened_columns(
     fit: &WhitenedFit<'_>,
     is_retained: impl Fn(&TermColumn) -> bool,
 ) -> Vec<Vec<f64>> {
@@ -454,7 +455,7 @@ fn find_alternatives(
         }
     }
     let noise = noise::estimate(
-        &fit.residual(&solve(&fit.raw, &fit.raw_y(), None, 0.0)),
+        &fit.residual(&solve(&fit.raw, &fit.unwhitened_readings_um(), None, 0.0)),
         &fit.steps,
         noise::max_autocorrelation_time(fit.y.len()),
         fit.columns.len(),
@@ -465,7 +466,7 @@ fn find_alternatives(
         let raw: Vec<Vec<f64>> =
             own_terms.map(|column| column.term.basis_column(fit.record)).collect();
         let count = raw.len() as f64;
-        let white = if fit.white == fit.raw { raw } else { whitener.apply_all(&raw) };
+        let white = if fit.white == fit.raw { raw } else { whitener.whiten_columns(&raw) };
         let swapped = squares(&[without, &white].concat());
         rows * (swapped / with).ln() + (count - own) * rows.ln() < MIN_BIC_DIFFERENCE
     });

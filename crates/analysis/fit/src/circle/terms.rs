@@ -124,8 +124,8 @@ impl CircleTerm {
             Self::Centre(setup, axis) => f64::from(row.setup == setup) * along(axis),
             Self::Squareness => 2.0 * sin * cos,
             Self::Scale => cos * cos - sin * sin,
-            Self::Backlash(axis) => 0.5 * reversal_sign(axis, row) * along(axis),
-            Self::Lateral(axis) => 0.5 * reversal_sign(axis, row) * along(1 - axis),
+            Self::Backlash(axis) => 0.5 * backlash_sign(axis, row) * along(axis),
+            Self::Lateral(axis) => 0.5 * backlash_sign(axis, row) * along(1 - axis),
             Self::Servo => row.sense * 2.0 * sin * cos,
             Self::Form(number, wave) => {
                 let (sin, cos) = (f64::from(number) * row.angle).sin_cos();
@@ -143,7 +143,7 @@ impl CircleTerm {
                 if sense * row.sense < 0.0 {
                     return 0.0;
                 }
-                shape.evaluate(angle_since_reversal(row, axis, is_positive), width)
+                shape.evaluate(angle_since_reversal_rad(row, axis, is_positive), width)
             }
             Self::Cyclic { axis, period_mm, wave } => {
                 let (sin, cos) = (TAU * row.at_mm[axis] / period_mm).sin_cos();
@@ -160,7 +160,7 @@ impl CircleTerm {
 }
 
 /// Returns +1 where the axis moves in the negative direction, else −1.
-fn reversal_sign(axis: usize, row: &CircleRow) -> f64 {
+fn backlash_sign(axis: usize, row: &CircleRow) -> f64 {
     let (sin, cos) = row.angle.sin_cos();
     let velocity = if axis == 0 { -sin } else { cos } * row.sense;
     if velocity < 0.0 { 1.0 } else { -1.0 }
@@ -168,7 +168,7 @@ fn reversal_sign(axis: usize, row: &CircleRow) -> f64 {
 
 /// Returns the angle that was travelled since a reversal of `axis`, negative ahead of it, in −π…π.
 #[must_use]
-pub(crate) fn angle_since_reversal(row: &CircleRow, axis: usize, is_positive: bool) -> f64 {
+pub(crate) fn angle_since_reversal_rad(row: &CircleRow, axis: usize, is_positive: bool) -> f64 {
     let end = if is_positive { 0.0 } else { PI };
     let turned = row.sense * (row.angle - end - FRAC_PI_2 * axis as f64);
     turned - TAU * (turned / TAU).round()
@@ -176,13 +176,13 @@ pub(crate) fn angle_since_reversal(row: &CircleRow, axis: usize, is_positive: bo
 
 /// Returns the travel of `axis` behind its last reversal, in mm, at the row before: 0 within `step` of a reversal, in rad.
 #[must_use]
-pub(crate) fn travel_since_reversal(
+pub(crate) fn travel_since_reversal_mm(
     row: &CircleRow,
     axis: usize,
     radius_mm: f64,
     step: f64,
 ) -> f64 {
-    let since = [true, false].map(|end| angle_since_reversal(row, axis, end)).into_iter();
+    let since = [true, false].map(|end| angle_since_reversal_rad(row, axis, end)).into_iter();
     let last = since.filter(|angle| *angle >= -step).fold(f64::INFINITY, f64::min);
     radius_mm * (1.0 - (last - step).max(0.0).cos())
 }

@@ -13,9 +13,9 @@
 //! that of the repeats, F at 95 %. Whether B is worth laying in is tested on held-out runs.
 
 use trueup_machine::{
-    BadInput,
+    InputFileError,
     applied_offsets::UncompensatedRun,
-    file::writer::{Edit, round_to_decimals},
+    file::writer::{MachineFileEdit, round_to_decimals},
     file::{Backlash, Feedback, LinearAxis},
 };
 
@@ -23,12 +23,12 @@ use super::{
     PitchFitOptions,
     cross_validation::{fold_count, fold_index, is_significant_gain},
     feed_dependence,
-    readings::{FEED_COLUMN, ReadingSelection, Readings, measured_column},
+    readings::{FEED_COLUMN, PitchReadings, ReadingSelection, measured_column_name},
     reversal_difference::{ReversalDifference, reversal_differences},
-    summary::{confidence_half_width, describe_folds, variance_ratio_p_value},
+    summary::{confidence_half_width, describe_folds, f_test_p_value},
     table::TABLE_DECIMALS,
 };
-use crate::report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics};
+use crate::report::{FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics};
 
 /// This many positions are a test of backlash, more are a sweep.
 const MAX_TEST_POSITIONS: usize = 3;
@@ -38,7 +38,7 @@ const SIGNIFICANCE_LEVEL: f64 = 0.05;
 
 /// Which of the means is the width.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum WidthRule {
+pub enum BacklashWidthRule {
     /// The largest of up to three positions, the mean of more.
     #[default]
     Automatic,
@@ -52,7 +52,7 @@ pub enum WidthRule {
 #[derive(Clone, Debug, PartialEq)]
 pub struct BacklashFit {
     /// The result, with the changes in the machine file.
-    pub report: Report,
+    pub report: FitReport,
     /// The width; `None` if it should not be laid in.
     pub backlash: Option<Backlash>,
     /// b̄ᵢ by position in mm, in µm: reverse minus forward.
@@ -70,7 +70,7 @@ pub fn fit_backlash(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     options: &PitchFitOptions,
-) -> Result<BacklashFit, BadInput> {
+) -> Result<BacklashFit, InputFileError> {
     let selection = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
@@ -78,7 +78,7 @@ pub fn fit_backlash(
         by_feed: true,
         in_order: false,
     };
-    let mut readings = Readings::from_run(run, &selection)?;
+    let mut readings = PitchReadings::from_run(run, &selection)?;
     let outliers = readings.exclude_gross_errors(run, axis);
     let mut reversal_differences = reversal_differences(&readings);
     if reversal_differences.is_empty() {
@@ -90,7 +90,7 @@ pub fn fit_backlash(
         } + ": backlash needs positions that were approached from both sides";
         return Err(run.value_error(0, &direction, rule));
     }
-    let feed = feed_dependence::separate_by_feed(&readings, &reversal_differences, options)
+    let feed = feed_dependence::fit_backlash_by_feed(&readings, &reversal_differences, options)
         .map_err(|rule| {
             run.value_error(
                 0,
@@ -102,27 +102,29 @@ pub fn fit_backlash(
         readings.list.retain(|reading| reading.feed == feed.chosen);
         reversal_differences.retain(|difference| difference.feed == feed.chosen);
     }
-    let by_target = group_by_target(&readings, &reversal_differences);
+    let by_target = group_differences_by_target(&readings, &reversal_differences);
     let means: Vec<(f64, f64)> =
         by_target.iter().map(|(x, um)| (*x, um.iter().sum::<f64>() / um.len() as f64)).collect();
     let rule = match options.width {
-        WidthRule::Automatic if means.len() <= MAX_TEST_POSITIONS => WidthRule::Largest,
-        WidthRule::Automatic => WidthRule::Mean,
+        BacklashWidthRule::Automatic if means.len() <= MAX_TEST_POSITIONS => {
+            BacklashWidthRule::Largest
+        }
+        BacklashWidthRule::Automatic => BacklashWidthRule::Mean,
         rule => rule,
     };
     let width_um =
-        round_to_decimals(backlash_width(means.iter().map(|mean| mean.1), rule), TABLE_DECIMALS);
-    let p = p_value(&by_target);
+        round_to_decimals(backlash_width_um(means.iter().map(|mean| mean.1), rule), TABLE_DECIMALS);
+    let p = position_dependence_p_value(&by_target);
     let mut report = build_report(&readings, &reversal_differences, axis, rule, width_um);
     report.excluded = outliers;
     if let Some(feed) = feed {
         feed.add_to_report(&mut report, width_um);
     }
-    let other = |rule| backlash_width(means.iter().map(|mean| mean.1), rule);
-    report.facts.push(Fact::numbers("position_mm", means.iter().map(|mean| mean.0).collect()));
-    report.facts.push(Fact::numbers("reversal_um", means.iter().map(|mean| mean.1).collect()));
-    report.facts.push(Fact::number("largest_um", other(WidthRule::Largest)));
-    report.facts.push(Fact::number("mean_um", other(WidthRule::Mean)));
+    let other = |rule| backlash_width_um(means.iter().map(|mean| mean.1), rule);
+    report.facts.push(FitFact::numbers("position_mm", means.iter().map(|mean| mean.0).collect()));
+    report.facts.push(FitFact::numbers("reversal_um", means.iter().map(|mean| mean.1).collect()));
+    report.facts.push(FitFact::number("largest_um", other(BacklashWidthRule::Largest)));
+    report.facts.push(FitFact::number("mean_um", other(BacklashWidthRule::Mean)));
     let depends_on_position = p.is_some_and(|p| p < SIGNIFICANCE_LEVEL);
     if depends_on_position {
         let um = || means.iter().map(|mean| mean.1);
@@ -139,15 +141,15 @@ pub fn fit_backlash(
         ]);
     }
     let backlash = report.verdict.is_fitted().then(|| {
-        report.edit = Edit::from_section(Backlash::width_section(axis, width_um));
+        report.edit = MachineFileEdit::from_section(Backlash::width_section(axis, width_um));
         Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
     });
     Ok(BacklashFit { report, backlash, by_position: means, depends_on_position })
 }
 
 /// Position in mm and differences in µm, of each target that has any.
-fn group_by_target(
-    readings: &Readings,
+fn group_differences_by_target(
+    readings: &PitchReadings,
     reversal_differences: &[ReversalDifference],
 ) -> Vec<(f64, Vec<f64>)> {
     let mut targets: Vec<(f64, Vec<f64>)> =
@@ -160,9 +162,9 @@ fn group_by_target(
 }
 
 /// Returns the width of these means by `rule`.
-fn backlash_width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
+fn backlash_width_um(means: impl Iterator<Item = f64> + Clone, rule: BacklashWidthRule) -> f64 {
     match rule {
-        WidthRule::Largest => {
+        BacklashWidthRule::Largest => {
             means.fold(0.0, |largest: f64, um| if um.abs() > largest.abs() { um } else { largest })
         }
         _ => means.clone().sum::<f64>() / means.count() as f64,
@@ -171,7 +173,7 @@ fn backlash_width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> 
 
 /// Returns how likely chance alone makes the positions differ so; `None` without repeats or with one
 /// position.
-fn p_value(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
+fn position_dependence_p_value(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
     let count: usize = by_target.iter().map(|(_, um)| um.len()).sum();
     let freedom = (by_target.len().checked_sub(1)?, count - by_target.len());
     if freedom.0 == 0 || freedom.1 == 0 {
@@ -185,27 +187,31 @@ fn p_value(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
         .iter()
         .map(|(_, um)| um.iter().map(|x| (x - mean(um)).powi(2)).sum::<f64>())
         .sum();
-    variance_ratio_p_value((between, freedom.0 as f64), (within, freedom.1 as f64))
+    f_test_p_value((between, freedom.0 as f64), (within, freedom.1 as f64))
 }
 
 fn build_report(
-    readings: &Readings,
+    readings: &PitchReadings,
     reversal_differences: &[ReversalDifference],
     axis: LinearAxis,
-    rule: WidthRule,
+    rule: BacklashWidthRule,
     width_um: f64,
-) -> Report {
-    let mut report = Report::new("backlash", measured_column(axis));
+) -> FitReport {
+    let mut report = FitReport::new("backlash", measured_column_name(axis));
     let um: Vec<f64> = reversal_differences.iter().map(|difference| difference.um).collect();
     report.before = ResidualStatistics::from_residuals(&um);
     report.in_sample =
         ResidualStatistics::from_residuals(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
     report.rows_used = readings.list.len();
     report.rows_incomplete = readings.rows_incomplete;
-    report.facts.push(Fact::number("runs", readings.runs as f64));
-    report.facts.push(Fact::text(
+    report.facts.push(FitFact::number("runs", readings.runs as f64));
+    report.facts.push(FitFact::text(
         "width_is",
-        if rule == WidthRule::Largest { "the largest mean" } else { "the mean of all positions" },
+        if rule == BacklashWidthRule::Largest {
+            "the largest mean"
+        } else {
+            "the mean of all positions"
+        },
     ));
     let blocks = fold_count(readings.runs);
     let block = |difference: &ReversalDifference| fold_index(difference.run, readings.runs);
@@ -225,7 +231,7 @@ fn build_report(
         if retained.is_empty() || test.is_empty() {
             continue;
         }
-        let retained_width = backlash_width(target_means(&retained).into_iter(), rule);
+        let retained_width = backlash_width_um(target_means(&retained).into_iter(), rule);
         let rest: Vec<f64> = test.iter().map(|um| um - retained_width).collect();
         let mean_square = |um: &[f64]| um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64;
         gains.push(mean_square(&test) - mean_square(&rest));
@@ -235,17 +241,19 @@ fn build_report(
     // The largest mean is one position's own; a mean of all is known from the runs' own widths.
     let at_largest = reversal_differences.chunk_by(|a, b| a.target == b.target).max_by(|a, b| {
         let size = |group: &[ReversalDifference]| {
-            backlash_width(target_means(group).into_iter(), rule).abs()
+            backlash_width_um(target_means(group).into_iter(), rule).abs()
         };
         size(a).total_cmp(&size(b))
     });
     let sample = match (rule, at_largest) {
-        (WidthRule::Largest, Some(group)) => group.iter().map(|difference| difference.um).collect(),
+        (BacklashWidthRule::Largest, Some(group)) => {
+            group.iter().map(|difference| difference.um).collect()
+        }
         _ => own.clone(),
     };
     report.parameters.push(match confidence_half_width(&sample) {
-        Some(half) => Parameter::fitted("width_um", width_um, half),
-        None => Parameter::fixed("width_um", width_um),
+        Some(half) => FitParameter::fitted("width_um", width_um, half),
+        None => FitParameter::fixed("width_um", width_um),
     });
     if gains.len() < 2 {
         report.warnings.push(

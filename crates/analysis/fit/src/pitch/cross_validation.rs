@@ -16,14 +16,14 @@
 use trueup_machine::{
     file::PitchErrorTable,
     file::writer::round_to_decimals,
-    model::{is_reverse, pitch_um},
+    model::{is_negative_direction, pitch_error_um},
 };
 
 use trueup_numerics::{repeats, t_quantile};
 
 use super::{
-    readings::{PitchReading, Readings},
-    table::{DirectionMeans, TABLE_DECIMALS, TargetGrid},
+    readings::{PitchReading, PitchReadings},
+    table::{DirectionMeans, TABLE_DECIMALS, TableGrid},
 };
 
 /// More runs than this are held out in blocks.
@@ -79,8 +79,9 @@ impl FittedCorrection {
     pub(super) fn evaluate(&self, position_mm: f64, way: usize) -> f64 {
         let direction = if way == 0 { 1.0 } else { -1.0 };
         let table =
-            self.pitch.as_ref().map_or(0.0, |pitch| pitch_um(pitch, position_mm, direction));
-        let width = if is_reverse(direction) { self.width_um.unwrap_or(0.0) } else { 0.0 };
+            self.pitch.as_ref().map_or(0.0, |pitch| pitch_error_um(pitch, position_mm, direction));
+        let width =
+            if is_negative_direction(direction) { self.width_um.unwrap_or(0.0) } else { 0.0 };
         self.constant_um + table + width
     }
 }
@@ -139,7 +140,7 @@ impl DirectionSums {
     pub(super) fn fit(
         &self,
         targets_mm: &[f64],
-        grid: &TargetGrid,
+        grid: &TableGrid,
         law: CorrectionModel,
     ) -> FittedCorrection {
         let both = [(0, 0.0), (1, 0.0)];
@@ -152,14 +153,15 @@ impl DirectionSums {
                 fitted.constant_um = sum / line.points.iter().map(|point| point.2).sum::<f64>();
             }
             CorrectionModel::OneTable => {
-                fitted.pitch = Some(grid.fit_pitch(&self.merged_means(targets_mm, &both), None));
+                fitted.pitch =
+                    Some(grid.fit_pitch_table(&self.merged_means(targets_mm, &both), None));
             }
             CorrectionModel::TableAndBacklash => {
                 let widths = self.reversal_errors_um();
                 let mean = widths.iter().sum::<f64>() / widths.len().max(1) as f64;
                 let width = round_to_decimals(mean, TABLE_DECIMALS);
                 let line = self.merged_means(targets_mm, &[(0, 0.0), (1, width)]);
-                fitted.pitch = Some(grid.fit_pitch(&line, None));
+                fitted.pitch = Some(grid.fit_pitch_table(&line, None));
                 fitted.width_um = Some(width);
             }
             CorrectionModel::BothTables => {
@@ -170,7 +172,7 @@ impl DirectionSums {
                     (_, true) => (up.clone(), up),
                     _ => (up, down),
                 };
-                fitted.pitch = Some(grid.fit_pitch(&up, Some(&down)));
+                fitted.pitch = Some(grid.fit_pitch_table(&up, Some(&down)));
             }
         }
         fitted
@@ -194,12 +196,12 @@ impl CrossValidationScore {
     }
 
     /// Returns the root mean square of each block in µm.
-    pub(super) fn rms_by_fold(&self) -> Vec<f64> {
+    pub(super) fn rms_by_fold_um(&self) -> Vec<f64> {
         self.mse_um2.iter().map(|mse| mse.sqrt()).collect()
     }
 
     /// Returns whether this law gains on `simpler` on the held-out blocks.
-    pub(super) fn is_better_than(&self, simpler: &Self) -> bool {
+    pub(super) fn is_significantly_better_than(&self, simpler: &Self) -> bool {
         let gains: Vec<f64> = simpler
             .mse_um2
             .iter()
@@ -243,8 +245,8 @@ pub(super) fn fold_index(run: usize, runs: usize) -> usize {
 
 /// Returns each of `laws` on the runs held out in turn; needs at least two runs.
 pub(super) fn cross_validate(
-    readings: &Readings,
-    grid: &TargetGrid,
+    readings: &PitchReadings,
+    grid: &TableGrid,
     laws: &[CorrectionModel],
 ) -> Vec<CrossValidationScore> {
     let (runs, targets) = (readings.runs, readings.targets_mm.len());

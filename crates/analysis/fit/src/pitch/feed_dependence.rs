@@ -7,11 +7,11 @@
 
 use super::{
     PitchFitOptions,
-    readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, Readings},
+    readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, PitchReadings},
     reversal_difference::ReversalDifference,
-    summary::{confidence_half_width, variance_ratio_p_value},
+    summary::{confidence_half_width, f_test_p_value},
 };
-use crate::report::{Fact, Report};
+use crate::report::{FitFact, FitReport};
 
 /// Below this probability a difference between feeds is not chance: the level of a claim.
 const SIGNIFICANCE_LEVEL: f64 = 0.01;
@@ -29,8 +29,8 @@ pub(super) struct BacklashByFeed {
 ///
 /// # Errors
 /// A required feed was not measured; with the rule.
-pub(super) fn separate_by_feed(
-    readings: &Readings,
+pub(super) fn fit_backlash_by_feed(
+    readings: &PitchReadings,
     differences: &[ReversalDifference],
     options: &PitchFitOptions,
 ) -> Result<Option<BacklashByFeed>, String> {
@@ -54,7 +54,8 @@ pub(super) fn separate_by_feed(
         }
     };
     if feeds.len() < 2
-        || p_value(differences, readings.targets_mm.len()).is_none_or(|p| p >= SIGNIFICANCE_LEVEL)
+        || feed_dependence_p_value(differences, readings.targets_mm.len())
+            .is_none_or(|p| p >= SIGNIFICANCE_LEVEL)
     {
         return Ok(None);
     }
@@ -78,14 +79,14 @@ pub(super) fn separate_by_feed(
 
 impl BacklashByFeed {
     /// Adds the widths by feed to the report, next to the width `width_um` that was taken.
-    pub(crate) fn add_to_report(&self, report: &mut Report, width_um: f64) {
+    pub(crate) fn add_to_report(&self, report: &mut FitReport, width_um: f64) {
         let chosen = self.widths[self.chosen].0;
-        report.facts.push(Fact::number("at_feed_mm_per_min", chosen));
+        report.facts.push(FitFact::number("at_feed_mm_per_min", chosen));
         let there = || self.widths.iter().filter(|(_, um, _)| !um.is_nan());
-        report.facts.push(Fact::numbers(FEED_COLUMN, there().map(|point| point.0).collect()));
+        report.facts.push(FitFact::numbers(FEED_COLUMN, there().map(|point| point.0).collect()));
         report
             .facts
-            .push(Fact::numbers("reversal_at_feed_um", there().map(|point| point.1).collect()));
+            .push(FitFact::numbers("reversal_at_feed_um", there().map(|point| point.1).collect()));
         let each: Vec<String> = there()
             .map(|(feed, um, half)| {
                 let half = half.map_or(String::new(), |half| format!(" ± {half:.1}"));
@@ -112,7 +113,7 @@ impl BacklashByFeed {
 }
 
 /// Returns how likely chance alone makes the feeds differ so; `None` without repeats.
-fn p_value(differences: &[ReversalDifference], targets: usize) -> Option<f64> {
+fn feed_dependence_p_value(differences: &[ReversalDifference], targets: usize) -> Option<f64> {
     let mean = |of: &dyn Fn(&&ReversalDifference) -> bool| {
         let um: Vec<f64> = differences.iter().filter(of).map(|difference| difference.um).collect();
         (um.iter().sum::<f64>() / um.len() as f64, um.len() as f64)
@@ -147,5 +148,5 @@ fn p_value(differences: &[ReversalDifference], targets: usize) -> Option<f64> {
     if freedom.0 == 0.0 || freedom.1 == 0.0 {
         return None;
     }
-    variance_ratio_p_value((between, freedom.1), (within, freedom.0))
+    f_test_p_value((between, freedom.1), (within, freedom.0))
 }

@@ -5,13 +5,13 @@
 //! off at the second one.
 
 use trueup_machine::{
-    BadInput,
+    InputFileError,
     applied_offsets::UncompensatedRun,
     file::{Feedback, LinearAxis, SecondDrive},
 };
 
 use super::{PitchFit, PitchFitOptions, TableMode, fit};
-use crate::report::{Fact, FitVerdict, Report};
+use crate::report::{FitFact, FitReport, FitVerdict};
 
 /// How far from a drive a reading may be, as a share of the beam: the other drive then counts for as much.
 const MAX_DRIVE_DISTANCE_RATIO: f64 = 0.05;
@@ -32,7 +32,7 @@ pub(crate) enum GantryDrive {
 pub(crate) fn identify_drive(
     run: &UncompensatedRun<'_>,
     dual: &SecondDrive,
-) -> Result<Option<GantryDrive>, BadInput> {
+) -> Result<Option<GantryDrive>, InputFileError> {
     let column = format!("{}_mm", dual.across.name());
     let Some(places) = run.column(&column) else { return Ok(None) };
     let mut found = None;
@@ -62,12 +62,12 @@ pub(crate) fn identify_drive(
 ///
 /// # Errors
 /// As [`fit`] and `identify_drive`; two runs of the same drive, or more than two.
-pub fn fit_both_drives<E: From<BadInput>>(
+pub fn fit_both_drives<E: From<InputFileError>>(
     runs: &[UncompensatedRun<'_>],
     axis: LinearAxis,
     dual: &SecondDrive,
     mut options: impl FnMut(&UncompensatedRun<'_>) -> Result<PitchFitOptions, E>,
-) -> Result<Report, E> {
+) -> Result<FitReport, E> {
     let mut of = [None, None];
     for run in runs {
         let place = &mut of[identify_drive(run, dual)?.unwrap_or(GantryDrive::First) as usize];
@@ -159,7 +159,7 @@ fn second_drive_options(
 }
 
 /// Returns the report of the second drive's own table.
-fn second_drive_report(mut report: Report, axis: LinearAxis) -> Report {
+fn second_drive_report(mut report: FitReport, axis: LinearAxis) -> FitReport {
     let pitch = format!("axis.{}.pitch", axis.name());
     report.edit.sections.retain(|section| section.name() == pitch);
     for section in &mut report.edit.sections {
@@ -171,7 +171,7 @@ fn second_drive_report(mut report: Report, axis: LinearAxis) -> Report {
 }
 
 /// Returns one report of both.
-fn merge_reports(mut first: Report, second: Report) -> Report {
+fn merge_reports(mut first: FitReport, second: FitReport) -> FitReport {
     let prefixed = |text: &String| format!("second drive: {text}");
     first.warnings.extend(second.warnings.iter().map(prefixed));
     first.excluded.extend(second.excluded);
@@ -180,7 +180,7 @@ fn merge_reports(mut first: Report, second: Report) -> Report {
         ("second_drive_in_sample_rms_um", second.in_sample),
         ("second_drive_left_out_rms_um", second.held_out),
     ] {
-        first.facts.extend(spread.map(|spread| Fact::number(name, spread.rms_um)));
+        first.facts.extend(spread.map(|spread| FitFact::number(name, spread.rms_um)));
     }
     first.rows_used += second.rows_used;
     match second.verdict {

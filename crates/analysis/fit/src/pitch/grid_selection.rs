@@ -5,16 +5,16 @@
 //! the measured shape. A record of more positions than a table may have points is
 //! smoothed: the step is the one that predicts every second cell best from the others.
 
-use trueup_machine::model::pitch_um;
+use trueup_machine::model::pitch_error_um;
 
 use super::{
     PitchFitOptions,
     cross_validation::DirectionSums,
-    readings::Readings,
+    readings::PitchReadings,
     scatter::Scatter,
-    table::{DirectionMeans, TargetGrid},
+    table::{DirectionMeans, TableGrid},
 };
-use crate::report::{Fact, Report};
+use crate::report::{FitFact, FitReport};
 
 /// A table that loses no more than this share of the variance of the means is as good as they are.
 const MAX_VARIANCE_LOSS: f64 = 0.1;
@@ -24,17 +24,17 @@ const MAX_VARIANCE_LOSS: f64 = 0.1;
 const MAX_SHAPE_LOSS: f64 = 0.01;
 
 /// Returns the points of the table.
-pub(super) fn choose_grid(
-    readings: &Readings,
+pub(super) fn choose_table_grid(
+    readings: &PitchReadings,
     sums: &DirectionSums,
     options: &PitchFitOptions,
-    report: &mut Report,
-) -> TargetGrid {
+    report: &mut FitReport,
+) -> TableGrid {
     let targets = &readings.targets_mm;
     let lines = [0, 1].map(|way| sums.direction_means(targets, way));
     let lines: Vec<&DirectionMeans> = lines.iter().filter(|line| !line.points.is_empty()).collect();
     let most = options.most_points.max(2);
-    let equal = TargetGrid::from_equal_steps(targets).filter(|grid| grid.points <= most);
+    let equal = TableGrid::from_equal_steps(targets).filter(|grid| grid.points <= most);
     if let (None, Some(grid)) = (options.step_mm, equal) {
         return grid;
     }
@@ -43,14 +43,14 @@ pub(super) fn choose_grid(
     let enough_um = of_means_um.max(MAX_SHAPE_LOSS * scatter.shape_um);
     let (grid, loss_um) = match options.step_mm {
         Some(step_mm) => {
-            let grid = TargetGrid::with_step(targets, step_mm);
+            let grid = TableGrid::with_step(targets, step_mm);
             (grid, grid.rms_loss_um(&lines))
         }
         None if targets.len() > most => best_cross_validated_grid(readings, most, &lines),
         None => {
-            let mut best = (TargetGrid::with_point_count(targets, 2), f64::INFINITY);
+            let mut best = (TableGrid::with_point_count(targets, 2), f64::INFINITY);
             for points in 2..=most {
-                let grid = TargetGrid::with_point_count(targets, points);
+                let grid = TableGrid::with_point_count(targets, points);
                 let loss_um = grid.rms_loss_um(&lines);
                 if loss_um < best.1 {
                     best = (grid, loss_um);
@@ -62,7 +62,7 @@ pub(super) fn choose_grid(
             best
         }
     };
-    report.facts.push(Fact::number("resampling_loss_um", loss_um));
+    report.facts.push(FitFact::number("resampling_loss_um", loss_um));
     if loss_um > enough_um && targets.len() <= most {
         report.warnings.push(format!(
             "the targets are not at equal distances; a table of {} points every {} mm misses the measured means by {loss_um:.3} µm rms. Their scatter allows {enough_um:.3} µm",
@@ -75,25 +75,25 @@ pub(super) fn choose_grid(
 /// For a record of more positions than a table may have points: the number of points with the
 /// least error on every second cell, fitted to the others.
 fn best_cross_validated_grid(
-    readings: &Readings,
+    readings: &PitchReadings,
     most: usize,
     lines: &[&DirectionMeans],
-) -> (TargetGrid, f64) {
+) -> (TableGrid, f64) {
     // Each step of the search has a quarter more points than the one before.
     let counts = std::iter::successors(Some(2_usize), |count| Some(count + 1 + count / 4));
     let half = |line: &DirectionMeans, odd: usize| {
         let points = line.points.iter().enumerate().filter(|(n, _)| n % 2 == odd);
         DirectionMeans { points: points.map(|(_, point)| *point).collect() }
     };
-    let mut best = (TargetGrid::with_point_count(&readings.targets_mm, 2), f64::INFINITY);
+    let mut best = (TableGrid::with_point_count(&readings.targets_mm, 2), f64::INFINITY);
     for points in counts.take_while(|count| *count <= most) {
-        let grid = TargetGrid::with_point_count(&readings.targets_mm, points);
+        let grid = TableGrid::with_point_count(&readings.targets_mm, points);
         let (mut squares, mut weights) = (0.0, 0.0);
         for line in lines {
             for odd in [0, 1] {
-                let table = grid.fit_pitch(&half(line, odd), None);
+                let table = grid.fit_pitch_table(&half(line, odd), None);
                 for (x, um, weight) in half(line, 1 - odd).points {
-                    squares += weight * (um - pitch_um(&table, x, 1.0)).powi(2);
+                    squares += weight * (um - pitch_error_um(&table, x, 1.0)).powi(2);
                     weights += weight;
                 }
             }

@@ -1,11 +1,13 @@
 //! The figures of ISO 230-2 of an axis as a page, with picture: what is filed after a calibration.
 
 use trueup_machine::file::LinearAxis;
-use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
+use trueup_page::{
+    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+};
 
 use crate::{
     iso230::{ApproachStatistics, Iso230Results, TargetResults},
-    report::Report,
+    report::FitReport,
 };
 
 /// Returns the page of `axis`; `what` is the fit that it belongs to: "pitch".
@@ -13,9 +15,9 @@ use crate::{
 pub fn build_page(
     axis: LinearAxis,
     what: &str,
-    report: &Report,
+    report: &FitReport,
     iso230: &Iso230Results,
-    origin: &Origin,
+    origin: &Provenance,
 ) -> Page {
     let name = axis.name().to_uppercase();
     let mut page =
@@ -87,14 +89,14 @@ fn render_deviation_chart(name: &str, iso230: &Iso230Results) -> String {
     for (arrow, colour, direction) in [
         (
             "forward",
-            Colour::After,
+            ColourRole::After,
             (|target| target.forward) as fn(&TargetResults) -> Option<ApproachStatistics>,
         ),
-        ("reverse", Colour::Before, |target| target.reverse),
+        ("reverse", ColourRole::Before, |target| target.reverse),
     ] {
         let limits = [of(direction, 2.0), of(direction, -2.0)].concat();
-        series.push(Series::dots(&format!("{arrow} ± 2s"), colour, limits));
-        series.push(Series::line(arrow, colour, of(direction, 0.0)));
+        series.push(ChartSeries::dots(&format!("{arrow} ± 2s"), colour, limits));
+        series.push(ChartSeries::line(arrow, colour, of(direction, 0.0)));
     }
     Chart {
         title: format!(
@@ -184,8 +186,9 @@ mod tests {
         let targets =
             [target(0.0, [0.0, 0.0], [4.0, 4.0]), target(100.0, [6.0, 6.0], [10.0, 10.0])];
         let iso230 = Iso230Results::from_targets(&targets).expect("it has figures");
-        let origin = Origin { version: "1.2".into(), date: "2026-11-26".into(), files: Vec::new() };
-        let report = Report::new("pitch", "measured_dx_um");
+        let origin =
+            Provenance { version: "1.2".into(), date: "2026-11-26".into(), files: Vec::new() };
+        let report = FitReport::new("pitch", "measured_dx_um");
         let html = build_page(LinearAxis::X, "pitch", &report, &iso230, &origin).to_html();
         // No scatter: A and E are the range of the means, 10 µm, M that of the mid-points, 6 µm, R is B, 4 µm.
         for part in [

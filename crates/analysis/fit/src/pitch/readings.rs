@@ -11,7 +11,8 @@
 use std::{borrow::Cow, collections::HashMap};
 
 use trueup_machine::{
-    BadInput, applied_offsets::UncompensatedRun, file::LinearAxis, model::is_reverse,
+    InputFileError, applied_offsets::UncompensatedRun, file::LinearAxis,
+    model::is_negative_direction,
 };
 use trueup_numerics::repeats::{self, find_gross_errors, group_positions};
 
@@ -43,7 +44,7 @@ pub(super) struct PitchReading {
 
 /// The readings of one axis.
 #[derive(Clone, Debug)]
-pub(super) struct Readings {
+pub(super) struct PitchReadings {
     /// The targets in mm, rising.
     pub targets_mm: Vec<f64>,
     /// Feeds of the approach, rising; one, 0, where they are not asked for or not known.
@@ -89,11 +90,11 @@ struct ColumnNames {
     measured: String,
 }
 
-pub(super) fn measured_column(axis: LinearAxis) -> String {
+pub(super) fn measured_column_name(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
-impl Readings {
+impl PitchReadings {
     /// Reads what `selection` names from `file`.
     ///
     /// # Errors
@@ -102,12 +103,12 @@ impl Readings {
     pub(super) fn from_run(
         file: &UncompensatedRun<'_>,
         selection: &ReadingSelection<'_>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let axis = selection.axis.name();
         let names = ColumnNames {
             position: format!("{axis}_mm"),
             direction: format!("dir_{axis}"),
-            measured: measured_column(selection.axis),
+            measured: measured_column_name(selection.axis),
         };
         let (mut rows, rows_incomplete) = collect_raw_rows(file, &names, selection)?;
         if file.column("run").is_none() {
@@ -174,7 +175,7 @@ impl Readings {
         let by_feed: Vec<_> =
             self.to_repeat_readings().into_iter().zip(&self.list).map(of_feed).collect();
         let found = find_gross_errors(&by_feed);
-        let measured = measured_column(axis);
+        let measured = measured_column_name(axis);
         let aside = |(reading, _): (&PitchReading, &bool)| ExcludedRow {
             place: file.value_location(reading.row, &measured),
             measured_um: reading.um,
@@ -214,11 +215,11 @@ impl Readings {
 }
 
 /// Returns an error at the header, its rule still to be stated.
-fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> BadInput {
+fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> InputFileError {
     // The empty name is never there, so that the place comes even where `name` is.
     let place =
         file.require_column("").map_or_else(|bad| bad.place, |_| file.value_location(0, name));
-    BadInput::new(place, String::new())
+    InputFileError::new(place, String::new())
 }
 
 /// Returns the column `stem_unit`, which must not be there in another unit, be it next to it or instead.
@@ -226,7 +227,7 @@ fn column_with_unit<'f>(
     file: &'f UncompensatedRun<'_>,
     stem: &str,
     unit: &str,
-) -> Result<&'f [f64], BadInput> {
+) -> Result<&'f [f64], InputFileError> {
     const LENGTH_UNITS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");
     for other in LENGTH_UNITS.iter().filter(|&&other| other != unit) {
@@ -249,7 +250,7 @@ fn collect_raw_rows(
     file: &UncompensatedRun<'_>,
     names: &ColumnNames,
     selection: &ReadingSelection<'_>,
-) -> Result<(Vec<RawRow>, usize), BadInput> {
+) -> Result<(Vec<RawRow>, usize), InputFileError> {
     let axis = selection.axis.name();
     let measured = column_with_unit(file, &format!("measured_d{axis}"), "um")?;
     let positions = column_with_unit(file, axis, "mm")?;
@@ -292,7 +293,7 @@ fn collect_raw_rows(
                 "cannot be compared: the machine's other sections predict nothing for this row";
             return Err(file.value_error(row, &names.measured, rule));
         }
-        let way = usize::from(is_reverse(direction));
+        let way = usize::from(is_negative_direction(direction));
         rows.push(RawRow { row, position_mm, way, run, feed, um: um - known });
     }
     Ok((rows, rows_incomplete))
@@ -308,7 +309,7 @@ fn monotonic_direction(positions_mm: &[f64]) -> Option<f64> {
 }
 
 /// Returns the smallest step from row to row within a sweep; `None` where no sweep has two positions.
-fn smallest_step(rows: &[RawRow]) -> Option<f64> {
+fn smallest_step_mm(rows: &[RawRow]) -> Option<f64> {
     let same_sweep = |a: &RawRow, b: &RawRow| a.way == b.way && (a.run == b.run || a.run.is_nan());
     rows.windows(2)
         .filter_map(|pair| match pair {
@@ -322,7 +323,7 @@ fn smallest_step(rows: &[RawRow]) -> Option<f64> {
 /// Returns the targets in mm, rising; the target of each position; whether they are cells of a record.
 fn assign_targets(rows: &[RawRow]) -> (Vec<f64>, Vec<usize>, bool) {
     let positions: Vec<f64> = rows.iter().map(|raw| raw.position_mm).collect();
-    let (targets, target_of) = group_positions(&positions, smallest_step(rows).unwrap_or(0.0));
+    let (targets, target_of) = group_positions(&positions, smallest_step_mm(rows).unwrap_or(0.0));
     let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
         return (targets, target_of, false);
     };
@@ -362,7 +363,7 @@ fn assign_run_numbers(rows: &mut [RawRow], target_of_row: &[usize], is_record: b
     if comes_again && !is_record {
         return;
     }
-    let half = half_span(rows);
+    let half = half_range_mm(rows);
     let mut sweeps = [0_usize; 2];
     let mut before: Option<(usize, f64)> = None;
     for raw in rows {
@@ -377,7 +378,7 @@ fn assign_run_numbers(rows: &mut [RawRow], target_of_row: &[usize], is_record: b
     }
 }
 
-fn half_span(rows: &[RawRow]) -> f64 {
+fn half_range_mm(rows: &[RawRow]) -> f64 {
     let ends = |(low, high): (f64, f64), raw: &RawRow| {
         (low.min(raw.position_mm), high.max(raw.position_mm))
     };
@@ -400,7 +401,7 @@ fn check_duplicates(
     names: &ColumnNames,
     rows: &[RawRow],
     target_of_row: &[usize],
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let mut seen: HashMap<(usize, usize, u64, u64), usize> = HashMap::with_capacity(rows.len());
     for (raw, &target) in rows.iter().zip(target_of_row) {
         let once = (target, raw.way, raw.run.to_bits(), raw.feed.to_bits());
@@ -428,9 +429,9 @@ fn check_position_order(
     names: &ColumnNames,
     rows: &[RawRow],
     target_of_row: &[usize],
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let is_numbered = file.column("run").is_some();
-    let half = half_span(rows);
+    let half = half_range_mm(rows);
     let mut seen: HashMap<(usize, usize), ()> = HashMap::new();
     let mut before: Option<&RawRow> = None;
     // By direction: whether a row follows in order, and the first two that do not.

@@ -1,6 +1,6 @@
 //! The effect of a reversal: the reading from the negative side minus that from the positive one.
 
-use super::readings::{PitchReading, Readings};
+use super::readings::{PitchReading, PitchReadings};
 
 /// One difference: a position approached from both sides in one run.
 #[derive(Clone, Copy)]
@@ -12,7 +12,7 @@ pub(super) struct ReversalDifference {
 }
 
 /// Pairs the readings of a position in a run.
-pub(super) fn reversal_differences(readings: &Readings) -> Vec<ReversalDifference> {
+pub(super) fn reversal_differences(readings: &PitchReadings) -> Vec<ReversalDifference> {
     let mut order: Vec<_> = readings.list.iter().collect();
     order.sort_by_key(|reading| (reading.target, reading.feed, reading.run, reading.way));
     // Of a record with several readings in a cell, the neighbours.

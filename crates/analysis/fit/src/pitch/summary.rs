@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::{
-    file::writer::Edit,
+    file::writer::MachineFileEdit,
     file::{Backlash, LinearAxis},
 };
 
@@ -16,22 +16,22 @@ use super::{
         is_significant_gain, mean_and_half_width,
     },
     pitch_aliasing::aliased_pitches,
-    readings::Readings,
+    readings::PitchReadings,
     scatter::Scatter,
-    table::TargetGrid,
+    table::TableGrid,
 };
 use crate::{
     iso230::Iso230Results,
-    report::{Fact, Parameter, Report, ResidualStatistics},
+    report::{FitFact, FitParameter, FitReport, ResidualStatistics},
 };
 
 /// The standard requires this many arrivals at each target in each direction.
 const MIN_ISO_230_2_RUNS: usize = 5;
 
 /// Adds the figures of the measurement to the report, whatever becomes of the correction.
-pub(super) fn add_statistics(
-    report: &mut Report,
-    readings: &Readings,
+pub(super) fn add_measurement_statistics(
+    report: &mut FitReport,
+    readings: &PitchReadings,
     iso230: &Option<Iso230Results>,
 ) {
     let um: Vec<f64> = readings.list.iter().map(|reading| reading.um).collect();
@@ -39,8 +39,8 @@ pub(super) fn add_statistics(
     report.rows_used = um.len();
     report.rows_incomplete = readings.rows_incomplete;
     report.held_out_by = describe_folds(readings.runs);
-    report.facts.push(Fact::number("runs", readings.runs as f64));
-    report.facts.push(Fact::number("targets", readings.targets_mm.len() as f64));
+    report.facts.push(FitFact::number("runs", readings.runs as f64));
+    report.facts.push(FitFact::number("targets", readings.targets_mm.len() as f64));
     if let Some(iso230) = iso230 {
         report.facts.extend(iso230_facts(iso230));
     }
@@ -55,9 +55,10 @@ pub(super) fn describe_folds(runs: usize) -> String {
 }
 
 /// Returns the figures of the axis by the symbols of the standard.
-fn iso230_facts(iso230: &Iso230Results) -> Vec<Fact> {
+fn iso230_facts(iso230: &Iso230Results) -> Vec<FitFact> {
     let mut facts = Vec::new();
-    let mut fact = |name: &str, um: f64| facts.push(Fact::number(format!("iso230_{name}_um"), um));
+    let mut fact =
+        |name: &str, um: f64| facts.push(FitFact::number(format!("iso230_{name}_um"), um));
     for (way, axis) in [("forward", iso230.forward), ("reverse", iso230.reverse)] {
         if let Some(axis) = axis {
             fact(&format!("r_{way}"), axis.repeatability_um);
@@ -78,13 +79,13 @@ fn iso230_facts(iso230: &Iso230Results) -> Vec<Fact> {
 
 /// Adds the warnings for a user who relies on the table.
 pub(super) fn add_warnings(
-    report: &mut Report,
-    readings: &Readings,
+    report: &mut FitReport,
+    readings: &PitchReadings,
     iso230: &Option<Iso230Results>,
 ) {
     let warnings = &mut report.warnings;
     if readings.runs < 2 {
-        report.facts.push(Fact::text("repeatability", "unknown"));
+        report.facts.push(FitFact::text("repeatability", "unknown"));
         warnings.push(
             "there is only one run: the repeatability and the gain of the table are unknown; measure at least two runs, better five, in both directions"
                 .to_string(),
@@ -126,36 +127,37 @@ pub(super) fn add_warnings(
 
 /// The constants and what changes in the machine file.
 pub(super) fn write_pitch_section(
-    report: &mut Report,
+    report: &mut FitReport,
     axis: LinearAxis,
-    readings: &Readings,
+    readings: &PitchReadings,
     sums: &DirectionSums,
-    grid: &TargetGrid,
+    grid: &TableGrid,
     fitted: &FittedCorrection,
 ) {
     let Some(pitch) = &fitted.pitch else { return };
-    report.parameters.push(Parameter::fixed("start_mm", pitch.start_mm));
-    report.parameters.push(Parameter::fixed("step_mm", pitch.step_mm));
-    report.facts.push(Fact::number("table_points", grid.points as f64));
+    report.parameters.push(FitParameter::fixed("start_mm", pitch.start_mm));
+    report.parameters.push(FitParameter::fixed("step_mm", pitch.step_mm));
+    report.facts.push(FitFact::number("table_points", grid.points as f64));
     let name = format!("axis.{}", axis.name());
     let rms = |spread: Option<ResidualStatistics>| {
         spread.map_or("?".into(), |spread| format!("{:.2}", spread.rms_um))
     };
-    report.edit = Edit::from_section(pitch.to_section(axis).with_header_comment(format!(
-        "From {} readings of {} runs; rms µm before {}, fitted {}, held out {}.",
-        report.rows_used,
-        readings.runs,
-        rms(report.before),
-        rms(report.in_sample),
-        rms(report.held_out)
-    )));
+    report.edit =
+        MachineFileEdit::from_section(pitch.to_section(axis).with_header_comment(format!(
+            "From {} readings of {} runs; rms µm before {}, fitted {}, held out {}.",
+            report.rows_used,
+            readings.runs,
+            rms(report.before),
+            rms(report.in_sample),
+            rms(report.held_out)
+        )));
     let backlash = format!("{name}.backlash");
     match fitted.width_um {
         Some(width_um) => {
             let half = backlash_half_width_um(readings, sums);
             report.parameters.push(match half {
-                Some(half) => Parameter::fitted("width_um", width_um, half),
-                None => Parameter::fixed("width_um", width_um),
+                Some(half) => FitParameter::fitted("width_um", width_um, half),
+                None => FitParameter::fixed("width_um", width_um),
             });
             report.edit.sections.push(
                 Backlash::width_section(axis, width_um)
@@ -169,7 +171,7 @@ pub(super) fn write_pitch_section(
 
 /// Returns half the 95 % interval of the mean width: from the runs' own widths, or with one run from those
 /// of the targets.
-fn backlash_half_width_um(readings: &Readings, sums: &DirectionSums) -> Option<f64> {
+fn backlash_half_width_um(readings: &PitchReadings, sums: &DirectionSums) -> Option<f64> {
     let runs = readings.runs;
     let widths: Vec<f64> = if runs < 2 {
         sums.reversal_errors_um()
@@ -198,7 +200,7 @@ pub(super) fn confidence_half_width(values: &[f64]) -> Option<f64> {
 
 /// Returns how likely chance alone makes the sum of squares `between` groups so large, by the one `within` them, each
 /// in µm² with its degrees of freedom.
-pub(super) fn variance_ratio_p_value(between: (f64, f64), within: (f64, f64)) -> Option<f64> {
+pub(super) fn f_test_p_value(between: (f64, f64), within: (f64, f64)) -> Option<f64> {
     let f = FisherSnedecor::new(between.1, within.1).ok()?;
     let (between, within) = (between.0 / between.1, within.0 / within.1);
     // What is equal to a nanometre is equal: rounding must not make a finding.
@@ -211,7 +213,7 @@ pub(super) fn variance_ratio_p_value(between: (f64, f64), within: (f64, f64)) ->
 
 /// Why the axis should not be corrected, a sentence each.
 pub(super) fn rejection_reasons(
-    readings: &Readings,
+    readings: &PitchReadings,
     judged: &[CrossValidationScore],
     best: Option<&CrossValidationScore>,
     by_target: &[[Vec<f64>; 2]],
@@ -224,10 +226,12 @@ pub(super) fn rejection_reasons(
         _ => "a table",
     };
     let each = |judged: &CrossValidationScore| {
-        let each: Vec<String> = judged.rms_by_fold().iter().map(|um| format!("{um:.1}")).collect();
+        let each: Vec<String> =
+            judged.rms_by_fold_um().iter().map(|um| format!("{um:.1}")).collect();
         each.join(", ")
     };
-    let constant_alone = best.is_better_than(nothing) && !best.is_better_than(constant);
+    let constant_alone =
+        best.is_significantly_better_than(nothing) && !best.is_significantly_better_than(constant);
     let verdict = if constant_alone { "" } else { ": no gain that holds" };
     rejection_reasons.push(format!(
         "on held-out runs the error is {:.1} µm rms without a correction. With {law} from the \
@@ -264,7 +268,7 @@ pub(super) fn rejection_reasons(
 
 /// Returns what to measure so that it can be decided, in a sentence.
 pub(super) fn suggest_measurement(
-    readings: &Readings,
+    readings: &PitchReadings,
     decision: &TableSelection,
     by_target: &[[Vec<f64>; 2]],
 ) -> Option<String> {
@@ -300,7 +304,10 @@ pub(super) fn suggest_measurement(
 }
 
 /// Returns what the table is worth between its points, where that is doubted.
-pub(super) fn interpolation_caveat(readings: &Readings, law: CorrectionModel) -> Option<String> {
+pub(super) fn interpolation_caveat(
+    readings: &PitchReadings,
+    law: CorrectionModel,
+) -> Option<String> {
     let none = vec![false; readings.list.len()];
     let found = check_interpolation(
         &readings.targets_mm,
@@ -320,7 +327,7 @@ pub(super) fn interpolation_caveat(readings: &Readings, law: CorrectionModel) ->
 
 /// Returns whether `best` gains on `nothing` if each run's residuals are counted from their own mean.
 fn is_better_after_centring(
-    readings: &Readings,
+    readings: &PitchReadings,
     nothing: &CrossValidationScore,
     best: &CrossValidationScore,
 ) -> bool {

@@ -12,7 +12,9 @@
 //! exact, because f and g are straight between the points of either. Where f is straight between
 //! the points of the table, as with targets of equal steps, g = f.
 
-use trueup_machine::{file::PitchErrorTable, file::writer::round_to_decimals, model::pitch_um};
+use trueup_machine::{
+    file::PitchErrorTable, file::writer::round_to_decimals, model::pitch_error_um,
+};
 
 /// The board counts positions in 10 nm.
 const POSITION_UNITS_PER_MM: f64 = 1e5;
@@ -41,17 +43,17 @@ impl DirectionMeans {
 
 /// The points of a table: at least two.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct TargetGrid {
+pub(super) struct TableGrid {
     pub start_mm: f64,
     pub step_mm: f64,
     pub points: usize,
 }
 
-impl TargetGrid {
+impl TableGrid {
     /// This many points from the first target to the last, at whole units of the board, so that its
     /// table stands where this one does.
     pub(super) fn with_point_count(targets_mm: &[f64], points: usize) -> Self {
-        let (start, end) = endpoints(targets_mm);
+        let (start, end) = target_endpoints_mm(targets_mm);
         let start_mm = round_to_board_unit(start, f64::floor);
         let step_mm = round_to_board_unit((end - start_mm) / (points - 1) as f64, f64::ceil);
         Self { start_mm, step_mm, points }
@@ -61,7 +63,7 @@ impl TargetGrid {
     pub(super) fn with_step(targets_mm: &[f64], step_mm: f64) -> Self {
         // A last step of a rounding error's length is none.
         const STEP_ROUNDING_TOLERANCE: f64 = 1e-9;
-        let (start, end) = endpoints(targets_mm);
+        let (start, end) = target_endpoints_mm(targets_mm);
         let steps = ((end - start) / step_mm - STEP_ROUNDING_TOLERANCE).ceil().max(1.0);
         Self { start_mm: start, step_mm, points: (steps as usize).saturating_add(1) }
     }
@@ -119,7 +121,7 @@ impl TargetGrid {
     }
 
     /// Returns the table of `lines`, one for both directions or one for each.
-    pub(super) fn fit_pitch(
+    pub(super) fn fit_pitch_table(
         &self,
         forward: &DirectionMeans,
         reverse: Option<&DirectionMeans>,
@@ -136,9 +138,9 @@ impl TargetGrid {
     pub(super) fn rms_loss_um(&self, lines: &[&DirectionMeans]) -> f64 {
         let (mut squares, mut weights) = (0.0, 0.0);
         for line in lines {
-            let pitch = self.fit_pitch(line, None);
+            let pitch = self.fit_pitch_table(line, None);
             for &(x, um, weight) in &line.points {
-                squares += weight * (pitch_um(&pitch, x, 1.0) - um).powi(2);
+                squares += weight * (pitch_error_um(&pitch, x, 1.0) - um).powi(2);
                 weights += weight;
             }
         }
@@ -155,7 +157,7 @@ fn round_to_board_unit(mm: f64, towards: fn(f64) -> f64) -> f64 {
     whole / POSITION_UNITS_PER_MM
 }
 
-fn endpoints(targets_mm: &[f64]) -> (f64, f64) {
+fn target_endpoints_mm(targets_mm: &[f64]) -> (f64, f64) {
     let first = targets_mm.first().copied().unwrap_or(f64::NAN);
     (first, targets_mm.last().copied().unwrap_or(f64::NAN))
 }
@@ -217,8 +219,8 @@ mod tests {
     #[test]
     fn equal_steps_give_the_means_themselves() {
         let targets = [-20.0, -15.0, -10.0, -5.0, 0.0];
-        let grid = TargetGrid::from_equal_steps(&targets).expect("they are equal");
-        assert_eq!(grid, TargetGrid { start_mm: -20.0, step_mm: 5.0, points: 5 });
+        let grid = TableGrid::from_equal_steps(&targets).expect("they are equal");
+        assert_eq!(grid, TableGrid { start_mm: -20.0, step_mm: 5.0, points: 5 });
         let means = [1.0, -7.25, 30.125, 0.0, 4.5];
         let points: Vec<_> = targets.into_iter().zip(means).collect();
         assert_eq!(grid.fit_table(&line(&points)), means);
@@ -229,8 +231,8 @@ mod tests {
         let points: Vec<(f64, f64)> =
             [0.0, 13.7, 29.1, 61.0, 100.0].map(|x| (x, 0.5 * x - 3.0)).into();
         let targets: Vec<f64> = points.iter().map(|point| point.0).collect();
-        assert!(TargetGrid::from_equal_steps(&targets).is_none());
-        let grid = TargetGrid::with_point_count(&targets, 5);
+        assert!(TableGrid::from_equal_steps(&targets).is_none());
+        let grid = TableGrid::with_point_count(&targets, 5);
         let table = grid.fit_table(&line(&points));
         assert!(worst(&table, &[-3.0, 9.5, 22.0, 34.5, 47.0]) < 1e-9, "{table:?}");
         assert!(grid.rms_loss_um(&[&line(&points)]) < 1e-9);
@@ -240,7 +242,7 @@ mod tests {
     fn a_finer_table_loses_less_at_uneven_targets() {
         let points = line(&[(0.0, 0.0), (9.0, 4.0), (21.5, -3.0), (30.0, 5.0), (41.0, 0.0)]);
         let targets: Vec<f64> = points.points.iter().map(|point| point.0).collect();
-        let loss = |count| TargetGrid::with_point_count(&targets, count).rms_loss_um(&[&points]);
+        let loss = |count| TableGrid::with_point_count(&targets, count).rms_loss_um(&[&points]);
         let losses = [3, 6, 20, 80].map(loss);
         println!("loss in µm with 3, 6, 20, 80 points: {losses:.3?}");
         assert!(losses.is_sorted_by(|a, b| a > b), "{losses:?}");
@@ -258,7 +260,7 @@ mod tests {
         let (p, q) = (1.625, 0.875);
         let det = a * c - b * b;
         let by_hand = [(c * p - b * q) / det, (a * q - b * p) / det];
-        let grid = TargetGrid::with_point_count(&[0.0, 1.0, 4.0], 2);
+        let grid = TableGrid::with_point_count(&[0.0, 1.0, 4.0], 2);
         let table = grid.least_squares_fit(&line(&[(0.0, 0.0), (1.0, 3.0), (4.0, 0.0)]));
         assert!(worst(&table, &by_hand) < 1e-12, "{table:?}, by hand {by_hand:?}");
     }
@@ -267,7 +269,7 @@ mod tests {
     fn points_stand_where_the_board_can_have_them_and_cover_the_targets() {
         let targets = [-0.000_003, 1.1, 2.2, 10.0];
         for points in [2, 3, 4, 7, 100] {
-            let grid = TargetGrid::with_point_count(&targets, points);
+            let grid = TableGrid::with_point_count(&targets, points);
             for mm in [grid.start_mm, grid.step_mm] {
                 assert!((mm * 1e5 - (mm * 1e5).round()).abs() < 1e-6, "{grid:?}");
             }
@@ -278,14 +280,14 @@ mod tests {
     #[test]
     fn steps_written_in_few_digits_are_still_equal() {
         let grid =
-            TargetGrid::from_equal_steps(&[0.0, 6.6667, 13.3333, 20.0]).expect("thirds of 20");
+            TableGrid::from_equal_steps(&[0.0, 6.6667, 13.3333, 20.0]).expect("thirds of 20");
         assert_eq!((grid.points, grid.step_mm), (4, 6.66667));
     }
 
     #[test]
     fn a_step_that_does_not_divide_the_travel_ends_beyond_it() {
-        let grid = TargetGrid::with_step(&[0.0, 3.0, 10.0], 4.0);
+        let grid = TableGrid::with_step(&[0.0, 3.0, 10.0], 4.0);
         assert_eq!(grid.points, 4);
-        assert_eq!(TargetGrid::with_step(&[0.0, 0.1, 0.3], 0.1).points, 4);
+        assert_eq!(TableGrid::with_step(&[0.0, 0.1, 0.3], 0.1).points, 4);
     }
 }

@@ -11,7 +11,7 @@ use super::{
     paper_method,
     sites::Sites,
 };
-use crate::bspline::{clamped_knots, fit_least_squares};
+use crate::bspline::{clamped_knots, fit_least_squares_spline};
 
 /// Knots are looked for over at most this many sites; of more, neighbours are joined. The fit itself,
 /// its residuals and the criterion take all of them.
@@ -26,10 +26,10 @@ pub(super) struct SelectedSpline {
 impl SelectedSpline {
     pub(super) fn select(sites: &Sites, options: &StraightnessFitOptions) -> Self {
         match options.method {
-            FitMethod::LeastSquares => Self::least_squares(sites, options),
+            FitMethod::LeastSquares => Self::select_by_least_squares(sites, options),
             FitMethod::Paper => {
                 let tolerance = options.tolerance_um.unwrap_or_else(|| {
-                    let best = Self::least_squares(sites, options);
+                    let best = Self::select_by_least_squares(sites, options);
                     ResidualSummary::from_residuals(&sites.residuals(&best.spline)).largest_um
                 });
                 let paper_method::PaperFit { spline, is_within, .. } =
@@ -42,7 +42,7 @@ impl SelectedSpline {
         }
     }
 
-    fn least_squares(sites: &Sites, options: &StraightnessFitOptions) -> Self {
+    fn select_by_least_squares(sites: &Sites, options: &StraightnessFitOptions) -> Self {
         let cells = sites.merge_neighbours(MAX_KNOT_SEARCH_SITES);
         let found = Self::with_required_sites(sites, &cells, options, RequiredSites::EverySecond);
         let is_short_of_points =
@@ -62,13 +62,13 @@ impl SelectedSpline {
     ) -> Self {
         let mut path = SelectionPath::new(sites, cells, options);
         for order in 2..CUBIC_ORDER {
-            path.record_fit(&[], order);
+            path.try_knots(&[], order);
         }
         let search = KnotSearch::new(cells, support);
         let mut placed = search.evaluate(Vec::new());
         loop {
             let Some(at) = placed else { return path.finish(StopReason::Points) };
-            path.record_fit(&at.inner, CUBIC_ORDER);
+            path.try_knots(&at.inner, CUBIC_ORDER);
             if path.is_near_tolerance() {
                 for inner in search.minimax_starts(&at) {
                     path.try_within_tolerance(&inner);
@@ -137,14 +137,14 @@ impl<'s> SelectionPath<'s> {
     }
 
     /// The least squares fit in these knots joins.
-    fn record_fit(&mut self, inner: &[f64], order: usize) {
+    fn try_knots(&mut self, inner: &[f64], order: usize) {
         let count = inner.len() + order;
         if count > self.options.most_coefficients.max(2) {
             return;
         }
         let [first, last] = self.sites.end_positions();
         let knots = clamped_knots(order, first, &round_knots(inner, first, last), last);
-        let Some(fit) = fit_least_squares(knots, order, self.sites.points()) else {
+        let Some(fit) = fit_least_squares_spline(knots, order, self.sites.points()) else {
             self.since += 1;
             return;
         };
@@ -193,7 +193,7 @@ impl<'s> SelectionPath<'s> {
     fn try_within_tolerance(&mut self, inner: &[f64]) {
         let [first, last] = self.sites.end_positions();
         let knots = clamped_knots(CUBIC_ORDER, first, &round_knots(inner, first, last), last);
-        let fit = fit_least_squares(knots, CUBIC_ORDER, self.sites.points());
+        let fit = fit_least_squares_spline(knots, CUBIC_ORDER, self.sites.points());
         let (Some(fit), Some(tolerance), None) = (fit, self.options.tolerance_um, &self.within)
         else {
             return;

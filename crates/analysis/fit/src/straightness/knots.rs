@@ -20,15 +20,16 @@ use nalgebra::{DMatrix, DVector};
 
 use super::sites::Sites;
 use crate::bspline::{
-    BandedLeastSquares, SplineFit, basis, clamped_knots, fit_least_squares, is_determined,
+    BandedLeastSquares, SplineFit, clamped_knots, evaluate_basis, fit_least_squares_spline,
+    is_determined,
 };
 
 /// The order of every curve that has inner knots: cubic.
 pub(super) const CUBIC_ORDER: usize = 4;
 
 /// How sure of each coefficient the data must be, as the sine that
-/// [`BandedLeastSquares::min_sine`] gives: where points are too few, no knot.
-const MIN_SINE: f64 = 0.03;
+/// [`BandedLeastSquares::min_column_angle_sine`] gives: where points are too few, no knot.
+const MIN_COLUMN_ANGLE_SINE: f64 = 0.03;
 
 /// Inner knots, and what they leave.
 #[derive(Clone, Debug)]
@@ -88,8 +89,8 @@ impl<'s> KnotSearch<'s> {
             RequiredSites::All => is_supported((0, 1)),
         };
         is_supported
-            .then(|| fit_least_squares(knots.clone(), CUBIC_ORDER, self.sites.points()))?
-            .filter(|fit| fit.triangle.min_sine() > MIN_SINE)
+            .then(|| fit_least_squares_spline(knots.clone(), CUBIC_ORDER, self.sites.points()))?
+            .filter(|fit| fit.triangle.min_column_angle_sine() > MIN_COLUMN_ANGLE_SINE)
     }
 
     /// These inner knots as they are.
@@ -293,7 +294,7 @@ impl<'s> KnotSearch<'s> {
                 let rate =
                     |i: usize| (control[i] - control[i - 1]) / (knots[i + degree] - knots[i]);
                 let value = |x: f64| {
-                    let (first, weights) = basis(&doubled, CUBIC_ORDER, x);
+                    let (first, weights) = evaluate_basis(&doubled, CUBIC_ORDER, x);
                     let near =
                         (l - degree..=l).filter(|&i| (first..first + CUBIC_ORDER).contains(&i));
                     // The first control point has none before it, and its knot is not an inner one.
@@ -315,7 +316,7 @@ impl<'s> KnotSearch<'s> {
                 *slot = value.copied().unwrap_or(0.0) * root;
             }
             row[sides - 1] = y * root;
-            let (first, weights) = basis(knots, CUBIC_ORDER, x);
+            let (first, weights) = evaluate_basis(knots, CUBIC_ORDER, x);
             triangle.add_observation(first, weights.map(|w| w * root), &mut row);
             let left = row[sides - 1];
             for j in 0..inner.len() {

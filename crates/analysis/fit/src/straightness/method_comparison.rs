@@ -8,7 +8,7 @@ use std::fmt;
 use super::{
     FitMethod, StraightnessFit, StraightnessFitOptions,
     knot_selection::{MAX_KNOT_SEARCH_SITES, SelectedSpline},
-    model::{CurveModel, Polynomial},
+    model::{ChebyshevSeries, CurveModel},
     paper_method,
     residual::ResidualSummary,
     sites::Sites,
@@ -39,7 +39,7 @@ impl CurveMethod {
 
     /// Returns the way of a fit by `method`.
     #[must_use]
-    pub(crate) fn from_method(method: FitMethod) -> Self {
+    pub(crate) fn from_fit_method(method: FitMethod) -> Self {
         match method {
             FitMethod::Paper => Self::Paper,
             FitMethod::LeastSquares => Self::LeastSquares,
@@ -61,7 +61,7 @@ impl fmt::Display for CurveMethod {
 
 /// One way to a curve, and how it does.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MethodComparison {
+pub struct MethodPerformance {
     /// Which it is.
     pub way: CurveMethod,
     /// Coefficients that describe the curve.
@@ -80,7 +80,7 @@ pub struct MethodComparison {
     pub corner_um_per_mm: f64,
 }
 
-impl fmt::Display for MethodComparison {
+impl fmt::Display for MethodPerformance {
     /// One line that begins with the way's name, ASCII alone: terminals and TOML comments take it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ResidualSummary { range_um, mean_um, mean_square_um2, largest_um, .. } = self.residual;
@@ -109,7 +109,7 @@ impl fmt::Display for MethodComparison {
     }
 }
 
-pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodComparison> {
+pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodPerformance> {
     const MIN_HELD_OUT_SITES: usize = 8;
     let halves = [0, 1].map(|from| fit.sites.every_second(from));
     fit_models(fit)
@@ -123,7 +123,7 @@ pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodComparison> {
                 ResidualSummary::from_residuals(&left)
             });
             let (slope_um_per_mm, curvature_um_per_mm2) = model.max_slope_and_curvature();
-            MethodComparison {
+            MethodPerformance {
                 way,
                 coefficients: model.coefficient_count(),
                 residual: model.residual_summary(&fit.sites),
@@ -185,7 +185,7 @@ fn fit_model(fit: &StraightnessFit, way: CurveMethod, sites: &Sites) -> CurveMod
         CurveMethod::LeastSquares => {
             CurveModel::Spline(SelectedSpline::select(sites, &options).spline)
         }
-        CurveMethod::Polynomial => CurveModel::Polynomial(Polynomial::fit(sites, 7)),
+        CurveMethod::Polynomial => CurveModel::Polynomial(ChebyshevSeries::fit(sites, 7)),
         CurveMethod::Lines => CurveModel::Lines { x: sites.x.clone(), y: sites.y.clone() },
     }
 }
@@ -212,7 +212,7 @@ mod tests {
     #[test]
     fn a_row_of_the_comparison_is_one_line_with_all_its_figures() {
         let residual = ResidualSummary::from_residuals(&[1.0, -1.0]);
-        let row = MethodComparison {
+        let row = MethodPerformance {
             way: CurveMethod::Lines,
             coefficients: 9,
             residual,

@@ -8,22 +8,22 @@
 
 mod html_report;
 
-use trueup_machine::{BadInput, applied_offsets::UncompensatedRun, file::LinearAxis};
-use trueup_page::Origin;
+use trueup_machine::{InputFileError, applied_offsets::UncompensatedRun, file::LinearAxis};
+use trueup_page::Provenance;
 
 use super::{
-    CurveMethod, FitError, ResidualSummary, StraightnessCurve, StraightnessFit,
-    StraightnessFitOptions, fit_run,
+    CurveMethod, ResidualSummary, StraightnessCurve, StraightnessFit, StraightnessFitError,
+    StraightnessFitOptions, fit_straightness_run,
     method_comparison::{fit_models, paper_residual_steps},
     model::CurveModel,
-    run_fit::{error_axis, error_column, moving_axes},
+    run_fit::{error_axis, error_column_name, moving_axes},
     sites::Sites,
 };
 
 /// The length over which the paper's standard counts a deviation, in mm.
 const REFERENCE_LENGTH_MM: f64 = 1000.0;
 /// A diagonal is straight to this share of its length.
-const DIAGONAL_TOLERANCE: f64 = 1e-3;
+const DIAGONAL_STRAIGHTNESS_TOLERANCE: f64 = 1e-3;
 /// Places at which a speed is drawn, and a curvature looked for.
 const EVALUATION_POINTS: u32 = 800;
 
@@ -44,7 +44,7 @@ pub struct MethodTableOptions<'q> {
 #[derive(Clone, Debug)]
 pub struct MethodTable {
     /// The curves, then the diagonals.
-    pub entries: Vec<TableEntry>,
+    pub entries: Vec<MethodTableEntry>,
     /// In mm/min, as requested.
     pub feed_mm_per_min: f64,
     /// In ms, as requested.
@@ -53,7 +53,7 @@ pub struct MethodTable {
 
 /// A curve or a diagonal.
 #[derive(Clone, Debug)]
-pub struct TableEntry {
+pub struct MethodTableEntry {
     /// `z_of_x`; `dz on the diagonal of x and y`.
     pub name: String,
     /// Different positions along it.
@@ -98,7 +98,7 @@ pub struct MethodResult {
 impl MethodTable {
     /// Returns the table as a page, with the speeds of the corrections drawn, made of what `origin` says.
     #[must_use]
-    pub fn to_html(&self, origin: &Origin) -> String {
+    pub fn to_html(&self, origin: &Provenance) -> String {
         html_report::render_html(self, origin)
     }
 }
@@ -106,30 +106,30 @@ impl MethodTable {
 /// Returns the table of `runs`.
 ///
 /// # Errors
-/// Those of [`fit_run`]; a diagonal whose error's own axis moves, that is not straight, or of which a curve is missing.
+/// Those of [`fit_straightness_run`]; a diagonal whose error's own axis moves, that is not straight, or of which a curve is missing.
 pub fn build_method_table(
     runs: &[UncompensatedRun<'_>],
     options: &MethodTableOptions<'_>,
-) -> Result<MethodTable, BadInput> {
+) -> Result<MethodTable, InputFileError> {
     let mut curves: Vec<StraightnessCurve> = Vec::new();
-    let mut diagonals: Vec<Diagonal<'_>> = Vec::new();
+    let mut diagonals: Vec<DiagonalRun<'_>> = Vec::new();
     for run in runs {
         let error = error_axis(run, options.quantity)?;
-        let errors = run.require_column(&error_column(error))?;
+        let errors = run.require_column(&error_column_name(error))?;
         let axes: Vec<LinearAxis> =
             moving_axes(run, errors).into_iter().map(|(axis, _)| axis).collect();
         if axes.len() < 2 {
-            curves.push(fit_run(run, options.quantity, &options.options)?);
+            curves.push(fit_straightness_run(run, options.quantity, &options.options)?);
         } else {
-            diagonals.push(Diagonal { run, error, axes });
+            diagonals.push(DiagonalRun { run, error, axes });
         }
     }
     let all: Vec<ModelledCurve<'_>> = curves
         .iter()
         .map(|curve| ModelledCurve { curve, models: fit_models(&curve.fit) })
         .collect();
-    let mut entries: Vec<TableEntry> =
-        all.iter().map(|curve| curve_entry(curve, options)).collect();
+    let mut entries: Vec<MethodTableEntry> =
+        all.iter().map(|curve| build_curve_entry(curve, options)).collect();
     for diagonal in &diagonals {
         entries.push(diagonal.build_entry(&all, options)?);
     }
@@ -152,7 +152,10 @@ impl ModelledCurve<'_> {
     }
 }
 
-fn curve_entry(curve: &ModelledCurve<'_>, options: &MethodTableOptions<'_>) -> TableEntry {
+fn build_curve_entry(
+    curve: &ModelledCurve<'_>,
+    options: &MethodTableOptions<'_>,
+) -> MethodTableEntry {
     let sites = &curve.fit().sites;
     let [low_mm, high_mm] = sites.end_positions();
     let rows = curve.models.iter().map(|(way, model)| {
@@ -160,7 +163,7 @@ fn curve_entry(curve: &ModelledCurve<'_>, options: &MethodTableOptions<'_>) -> T
             CurveContribution { model, start_mm: low_mm, cosine: 1.0, ends_mm: [low_mm, high_mm] };
         evaluate_method(*way, &[share], &shift_sites(sites, low_mm), options)
     });
-    TableEntry {
+    MethodTableEntry {
         name: curve.curve.section_name(),
         positions: sites.len(),
         without: ResidualError::from_residuals(sites, &sites.y),
@@ -175,22 +178,22 @@ fn shift_sites(sites: &Sites, by_mm: f64) -> Sites {
 }
 
 /// A run in which several axes move.
-struct Diagonal<'r> {
+struct DiagonalRun<'r> {
     run: &'r UncompensatedRun<'r>,
     error: LinearAxis,
     axes: Vec<LinearAxis>,
 }
 
-impl Diagonal<'_> {
+impl DiagonalRun<'_> {
     fn build_entry(
         &self,
         curves: &[ModelledCurve<'_>],
         options: &MethodTableOptions<'_>,
-    ) -> Result<TableEntry, BadInput> {
+    ) -> Result<MethodTableEntry, InputFileError> {
         let error = self.error.name();
         let names: Vec<&str> = self.axes.iter().map(|axis| axis.name()).collect();
         let names = names.join(" and ");
-        let column = error_column(self.error);
+        let column = error_column_name(self.error);
         let bad = |rule: String| self.run.value_error(0, &column, rule);
         if self.axes.contains(&self.error) {
             return Err(bad(format!(
@@ -228,7 +231,7 @@ impl Diagonal<'_> {
             }
             rows.push(evaluate_method(way, &shares, &sites, options));
         }
-        Ok(TableEntry {
+        Ok(MethodTableEntry {
             name: format!("d{error} on the diagonal of {names}"),
             positions: sites.len(),
             without: ResidualError::from_residuals(&sites, &sites.y),
@@ -238,8 +241,11 @@ impl Diagonal<'_> {
     }
 
     /// Returns the readings over the way from the end at which the first axis stands lowest.
-    fn path_readings(&self, bad: &dyn Fn(String) -> BadInput) -> Result<PathReadings, BadInput> {
-        let errors = self.run.require_column(&error_column(self.error))?;
+    fn path_readings(
+        &self,
+        bad: &dyn Fn(String) -> InputFileError,
+    ) -> Result<PathReadings, InputFileError> {
+        let errors = self.run.require_column(&error_column_name(self.error))?;
         let positions: Vec<&[f64]> = self
             .axes
             .iter()
@@ -268,7 +274,7 @@ impl Diagonal<'_> {
             let d = from.iter().zip(&cosines).map(|(from, cosine)| from * cosine).sum::<f64>();
             let off = from.iter().zip(&cosines).map(|(from, cosine)| (from - d * cosine).abs());
             let off = off.fold(0.0, f64::max);
-            if off > DIAGONAL_TOLERANCE * length {
+            if off > DIAGONAL_STRAIGHTNESS_TOLERANCE * length {
                 return Err(self.run.value_error(
                     row,
                     &format!("{}_mm", self.axes[0].name()),
@@ -281,7 +287,7 @@ impl Diagonal<'_> {
         }
         let errors: Vec<f64> = there.iter().map(|&row| errors[row]).collect();
         let sites = Sites::from_readings(&along, &errors)
-            .map_err(|fault: FitError| bad(fault.to_string()))?;
+            .map_err(|fault: StraightnessFitError| bad(fault.to_string()))?;
         Ok(PathReadings { sites, starts_mm, cosines })
     }
 }
@@ -312,7 +318,7 @@ impl CurveContribution<'_> {
         (x.clamp(low, high), (low..=high).contains(&x))
     }
 
-    fn value(&self, way_mm: f64) -> f64 {
+    fn value_um(&self, way_mm: f64) -> f64 {
         self.model.evaluate(self.axis_position(way_mm).0)
     }
 
@@ -333,7 +339,7 @@ fn evaluate_method(
     sites: &Sites,
     options: &MethodTableOptions<'_>,
 ) -> MethodResult {
-    let value = |at: f64| shares.iter().map(|share| share.value(at)).sum::<f64>();
+    let value = |at: f64| shares.iter().map(|share| share.value_um(at)).sum::<f64>();
     let left: Vec<f64> = sites.points().map(|(at, um, _)| um - value(at)).collect();
     let feed_mm_per_s = options.feed_mm_per_min / 60.0;
     let [first, last] = sites.end_positions();

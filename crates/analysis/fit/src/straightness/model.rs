@@ -1,6 +1,6 @@
 //! A curve as each of the [ways](super::CurveMethod) has it: value, slope, curvature, and the corners of lines.
 
-use trueup_machine::{file::BSpline, model::spline_um};
+use trueup_machine::{file::BSpline, model::spline_value_um};
 use trueup_numerics::least_squares::GivensQr;
 
 use super::{residual::ResidualSummary, sites::Sites};
@@ -12,7 +12,7 @@ pub(super) enum CurveModel {
     /// A B-spline.
     Spline(BSpline),
     /// A polynomial.
-    Polynomial(Polynomial),
+    Polynomial(ChebyshevSeries),
     /// Straight lines through these points.
     Lines {
         /// Positions in mm, rising.
@@ -26,11 +26,11 @@ impl CurveModel {
     /// Its value in µm.
     pub(super) fn evaluate(&self, x_mm: f64) -> f64 {
         match self {
-            Self::Spline(spline) => spline_um(spline, x_mm),
+            Self::Spline(spline) => spline_value_um(spline, x_mm),
             Self::Polynomial(polynomial) => polynomial.value_and_derivatives(x_mm)[0],
             Self::Lines { x, y } => {
                 let n = segment_index(x, x_mm);
-                y[n - 1] + slope(x, y, n) * (x_mm - x[n - 1])
+                y[n - 1] + segment_slope(x, y, n) * (x_mm - x[n - 1])
             }
         }
     }
@@ -46,7 +46,7 @@ impl CurveModel {
                 let [_, slope, curvature] = polynomial.value_and_derivatives(x_mm);
                 [slope, curvature]
             }
-            Self::Lines { x, y } => [slope(x, y, segment_index(x, x_mm)), 0.0],
+            Self::Lines { x, y } => [segment_slope(x, y, segment_index(x, x_mm)), 0.0],
         }
     }
 
@@ -61,7 +61,9 @@ impl CurveModel {
     /// Where its slope jumps, in mm, and by how much, in µm/mm: lines alone have such corners.
     pub(super) fn slope_jumps(&self) -> Vec<[f64; 2]> {
         let Self::Lines { x, y } = self else { return Vec::new() };
-        (1..x.len() - 1).map(|n| [x[n], slope(x, y, n + 1) - slope(x, y, n)]).collect()
+        (1..x.len() - 1)
+            .map(|n| [x[n], segment_slope(x, y, n + 1) - segment_slope(x, y, n)])
+            .collect()
     }
 
     /// Largest jump of the slope in µm/mm.
@@ -75,7 +77,7 @@ impl CurveModel {
             Self::Spline(spline) => max_slope_and_curvature(spline, 9),
             Self::Polynomial(polynomial) => polynomial.max_slope_and_curvature(),
             Self::Lines { x, y } => {
-                let slopes: Vec<f64> = (1..x.len()).map(|n| slope(x, y, n)).collect();
+                let slopes: Vec<f64> = (1..x.len()).map(|n| segment_slope(x, y, n)).collect();
                 let bend = |n: usize| (slopes[n] - slopes[n - 1]) / (0.5 * (x[n + 1] - x[n - 1]));
                 let largest = |values: &mut dyn Iterator<Item = f64>| {
                     values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
@@ -97,18 +99,18 @@ fn segment_index(x: &[f64], x_mm: f64) -> usize {
 }
 
 /// Returns the slope of the piece that ends with the number `n`, in µm/mm.
-fn slope(x: &[f64], y: &[f64], n: usize) -> f64 {
+fn segment_slope(x: &[f64], y: &[f64], n: usize) -> f64 {
     (y[n] - y[n - 1]) / (x[n] - x[n - 1])
 }
 
 /// A polynomial in Chebyshev's form over the measured range.
 #[derive(Clone, Debug)]
-pub(super) struct Polynomial {
+pub(super) struct ChebyshevSeries {
     ends: [f64; 2],
     chebyshev: Vec<f64>,
 }
 
-impl Polynomial {
+impl ChebyshevSeries {
     /// Returns the least squares polynomial of `degree`, or of the highest below it that the sites allow.
     pub(super) fn fit(sites: &Sites, degree: usize) -> Self {
         let ends = sites.end_positions();
@@ -184,7 +186,7 @@ mod tests {
     #[test]
     fn a_polynomial_of_degree_7_is_found_with_its_derivatives() {
         let seventh = |x: f64| (x / 100.0 - 1.0).powi(7);
-        let polynomial = Polynomial::fit(&every_10_mm(21, seventh), 7);
+        let polynomial = ChebyshevSeries::fit(&every_10_mm(21, seventh), 7);
         for x in [0.0, 13.0, 100.0, 200.0] {
             let u: f64 = x / 100.0 - 1.0;
             let expected = [u.powi(7), 7.0 * u.powi(6) / 100.0, 42.0 * u.powi(5) / 1e4];
@@ -198,7 +200,7 @@ mod tests {
 
     #[test]
     fn few_sites_lower_the_degree() {
-        assert_eq!(Polynomial::fit(&every_10_mm(5, |x| x), 7).chebyshev.len(), 4);
+        assert_eq!(ChebyshevSeries::fit(&every_10_mm(5, |x| x), 7).chebyshev.len(), 4);
     }
 
     #[test]

@@ -15,7 +15,7 @@
 use trueup_machine::file::BSpline;
 
 use super::{knots::CUBIC_ORDER, sites::Sites};
-use crate::bspline::{clamped_knots, fit_least_squares};
+use crate::bspline::{clamped_knots, fit_least_squares_spline};
 
 /// Points of largest curvature to begin with.
 const INITIAL_CURVATURE_POINTS: usize = 8;
@@ -117,7 +117,7 @@ fn spline_from_control_sites(
             Some(BSpline { order: CUBIC_ORDER, knots_mm, control_um })
         }
         ControlValueRule::LeastSquares => {
-            fit_least_squares(knots_mm, CUBIC_ORDER, sites.points()).map(|fit| fit.spline)
+            fit_least_squares_spline(knots_mm, CUBIC_ORDER, sites.points()).map(|fit| fit.spline)
         }
     }
 }

@@ -1,12 +1,12 @@
 //! Straightness from a run file: which axis moved, which error was measured.
 
 use trueup_machine::{
-    BadInput, Location,
+    InputFileError, Location,
     applied_offsets::UncompensatedRun,
     file::{LinearAxis, Straightness},
 };
 
-use super::{FitError, StraightnessFit, StraightnessFitOptions, fit};
+use super::{StraightnessFit, StraightnessFitError, StraightnessFitOptions, fit};
 
 /// A curve from a run, with its place in the machine file.
 #[derive(Clone, Debug)]
@@ -41,13 +41,13 @@ impl StraightnessCurve {
 /// # Errors
 /// The quantity is not there, or there are several and none is named; no axis moves, several do, or
 /// it is the axis that is in error; a [`FitError`], with its row.
-pub fn fit_run(
+pub fn fit_straightness_run(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
     options: &StraightnessFitOptions,
-) -> Result<StraightnessCurve, BadInput> {
+) -> Result<StraightnessCurve, InputFileError> {
     let error = error_axis(run, quantity)?;
-    let column = error_column(error);
+    let column = error_column_name(error);
     let errors = run.require_column(&column)?;
     let along = moving_axis(run, error, errors)?;
     let position_column = format!("{}_mm", along.name());
@@ -57,7 +57,7 @@ pub fn fit_run(
     let rows: Vec<usize> = (0..run.row_count()).filter(there).collect();
     let take = |values: &[f64]| -> Vec<f64> { rows.iter().map(|&row| values[row]).collect() };
     let fit = fit(&take(positions), &take(errors), options).map_err(|fault| match fault {
-        FitError::NotFinite { row, is_position, value } => {
+        StraightnessFitError::NotFinite { row, is_position, value } => {
             let column = if is_position { &position_column } else { &column };
             run.value_error(rows[row], column, format_args!("is {value}"))
         }
@@ -66,7 +66,7 @@ pub fn fit_run(
     Ok(StraightnessCurve { error, along, fit, rows_incomplete: run.row_count() - rows.len() })
 }
 
-pub(super) fn error_column(axis: LinearAxis) -> String {
+pub(super) fn error_column_name(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
@@ -74,16 +74,17 @@ pub(super) fn error_column(axis: LinearAxis) -> String {
 pub(super) fn error_axis(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
-) -> Result<LinearAxis, BadInput> {
-    let whole = |rule: String| BadInput::new(Location::start_of_file(run.path()), rule);
+) -> Result<LinearAxis, InputFileError> {
+    let whole = |rule: String| InputFileError::new(Location::start_of_file(run.path()), rule);
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
         let axis = axis
             .ok_or_else(|| whole(format!("straightness needs dx, dy or dz, not {quantity:?}")))?;
-        return run.require_column(&error_column(axis)).map(|_| axis);
+        return run.require_column(&error_column_name(axis)).map(|_| axis);
     }
     let measured = LinearAxis::ALL.into_iter().filter(|&axis| {
-        run.column(&error_column(axis)).is_some_and(|values| values.iter().any(|v| !v.is_nan()))
+        run.column(&error_column_name(axis))
+            .is_some_and(|values| values.iter().any(|v| !v.is_nan()))
     });
     match measured.collect::<Vec<_>>()[..] {
         [axis] => Ok(axis),
@@ -118,10 +119,10 @@ fn axis_travels(run: &UncompensatedRun<'_>, errors: &[f64]) -> Vec<(LinearAxis, 
 /// Those of `axis_travels` that move.
 pub(super) fn moving_axes(run: &UncompensatedRun<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     /// An axis that stands still reads back a little of the other's travel.
-    const STATIONARY_TRAVEL_RATIO: f64 = 1e-3;
+    const MAX_STATIONARY_TRAVEL_RATIO: f64 = 1e-3;
     let mut travels = axis_travels(run, errors);
     let longest = travels.iter().map(|(_, mm)| *mm).fold(0.0, f64::max);
-    travels.retain(|(_, mm)| *mm > STATIONARY_TRAVEL_RATIO * longest);
+    travels.retain(|(_, mm)| *mm > MAX_STATIONARY_TRAVEL_RATIO * longest);
     travels
 }
 
@@ -130,15 +131,15 @@ fn moving_axis(
     run: &UncompensatedRun<'_>,
     error: LinearAxis,
     errors: &[f64],
-) -> Result<LinearAxis, BadInput> {
+) -> Result<LinearAxis, InputFileError> {
     let travels = axis_travels(run, errors);
     let moving = moving_axes(run, errors);
-    let whole = |rule: String| BadInput::new(Location::start_of_file(run.path()), rule);
+    let whole = |rule: String| InputFileError::new(Location::start_of_file(run.path()), rule);
     match moving[..] {
         [(axis, _)] if axis != error => Ok(axis),
         [_] => Err(whole(format!(
             "{} while {} itself moves is a positioning error: `trueup fit pitch`",
-            error_column(error),
+            error_column_name(error),
             error.name()
         ))),
         [] if travels.is_empty() => {
@@ -151,7 +152,7 @@ fn moving_axis(
             Err(whole(format!(
                 "no axis moves: {} {verb} the same where {} is measured",
                 names.join(", "),
-                error_column(error)
+                error_column_name(error)
             )))
         }
         ref several => {

@@ -5,7 +5,7 @@
 
 use trueup_machine::file::BSpline;
 
-use super::{FitError, ReferenceLine};
+use super::{ReferenceLine, StraightnessFitError};
 
 /// Positions nearer to each other than this share of the travel are the same position.
 const POSITION_RELATIVE_TOLERANCE: f64 = 1e-7;
@@ -49,22 +49,25 @@ impl StraightLine {
 
 impl Sites {
     /// Sorts and merges readings.
-    pub(super) fn from_readings(along_mm: &[f64], error_um: &[f64]) -> Result<Self, FitError> {
+    pub(super) fn from_readings(
+        along_mm: &[f64],
+        error_um: &[f64],
+    ) -> Result<Self, StraightnessFitError> {
         if along_mm.len() != error_um.len() {
             let (positions, errors) = (along_mm.len(), error_um.len());
-            return Err(FitError::LengthsDiffer { positions, errors });
+            return Err(StraightnessFitError::LengthsDiffer { positions, errors });
         }
         for (row, (&x, &y)) in along_mm.iter().zip(error_um).enumerate() {
             for (is_position, value) in [(true, x), (false, y)] {
                 if !value.is_finite() {
-                    return Err(FitError::NotFinite { row, is_position, value });
+                    return Err(StraightnessFitError::NotFinite { row, is_position, value });
                 }
             }
         }
         let mut order: Vec<usize> = (0..along_mm.len()).collect();
         order.sort_by(|&a, &b| along_mm[a].total_cmp(&along_mm[b]));
         let ends = order.first().zip(order.last()).map(|(&a, &b)| [along_mm[a], along_mm[b]]);
-        let [first, last] = ends.ok_or(FitError::TooFewPositions { positions: 0 })?;
+        let [first, last] = ends.ok_or(StraightnessFitError::TooFewPositions { positions: 0 })?;
         let same = POSITION_RELATIVE_TOLERANCE * (last - first);
 
         let mut sites =
@@ -79,8 +82,8 @@ impl Sites {
             sites.within += scatter;
         }
         match sites.len() {
-            1 => Err(FitError::OnePosition { position_mm: first }),
-            positions @ (0 | 2 | 3) => Err(FitError::TooFewPositions { positions }),
+            1 => Err(StraightnessFitError::OnePosition { position_mm: first }),
+            positions @ (0 | 2 | 3) => Err(StraightnessFitError::TooFewPositions { positions }),
             _ => Ok(sites),
         }
     }
@@ -105,7 +108,7 @@ impl Sites {
 
     /// Returns what lies between the means and a curve.
     pub(super) fn residuals(&self, spline: &BSpline) -> Vec<f64> {
-        let value = |x| trueup_machine::model::spline_um(spline, x);
+        let value = |x| trueup_machine::model::spline_value_um(spline, x);
         self.x.iter().zip(&self.y).map(|(&x, &y)| y - value(x)).collect()
     }
 

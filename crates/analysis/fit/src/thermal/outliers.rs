@@ -4,12 +4,12 @@
 use trueup_numerics::robust::{self, Outlier};
 
 use super::ThermalData;
-use crate::{lagged_regression, pooled_rows::PooledRows, report::Report};
+use crate::{lagged_regression, pooled_rows::PooledRows, report::FitReport};
 
 impl ThermalData {
-    pub(super) fn exclude_outliers(&mut self, rows: &PooledRows<'_>, report: &mut Report) {
+    pub(super) fn exclude_outliers(&mut self, rows: &PooledRows<'_>, report: &mut FitReport) {
         let found = match &self.time_s {
-            Some(time_s) if !self.positions_differ() => {
+            Some(time_s) if !self.has_varying_positions() => {
                 lagged_regression::find_outliers(time_s, &self.starts, &self.y)
             }
             _ => self.find_run_outliers(rows),
@@ -25,7 +25,7 @@ impl ThermalData {
         let ones = vec![1.0; self.y.len()];
         let warm = &self.temperature_c;
         let both: Vec<f64> = self.arm_m.iter().zip(warm).map(|(p, t)| p * t).collect();
-        let law: &[&[f64]] = if self.positions_differ() {
+        let law: &[&[f64]] = if self.has_varying_positions() {
             &[&ones, &self.arm_m, warm, &both]
         } else {
             &[&ones, warm]
@@ -39,7 +39,7 @@ impl ThermalData {
             // A short run is at one temperature, or shows no more than a line.
             let columns = (y.iter().filter(|y| !y.is_nan()).count() / robust::MIN_ROWS_PER_COLUMN)
                 .min(law.len());
-            robust::regression_outliers(&law[..columns], y)
+            robust::find_regression_outliers(&law[..columns], y)
         };
         let last = runs.iter().copied().max().unwrap_or(0);
         let by_run: Vec<Vec<f64>> = (0..=last).map(of_run).collect();
@@ -47,7 +47,7 @@ impl ThermalData {
             y.iter().filter(|y| !y.is_nan()).count() >= 2 * robust::MIN_ROWS_PER_COLUMN
         };
         if !by_run.iter().any(is_reported) {
-            return robust::regression_outliers(law, &self.y);
+            return robust::find_regression_outliers(law, &self.y);
         }
         let found = by_run.iter().flat_map(|y| off(y)).collect();
         robust::isolated_outliers(found, warm, &self.y)

@@ -79,9 +79,10 @@ fn search_best_law(
             y: &y,
             mode,
         };
-        let tables = TABLE_ROW_COUNTS.iter().map(|count| trial.evenly_spaced_temperatures(*count));
-        for knots_c in trial.best_kink().into_iter().chain(tables) {
-            if let Some(rms_um) = trial.held_out_rms(&knots_c, groups.as_deref()) {
+        let tables =
+            TABLE_ROW_COUNTS.iter().map(|count| trial.evenly_spaced_temperatures_c(*count));
+        for knots_c in trial.best_kink_knots_c().into_iter().chain(tables) {
+            if let Some(rms_um) = trial.held_out_rms_um(&knots_c, groups.as_deref()) {
                 found.push((rms_um, PiecewiseLinearLaw { knots_c, lag_s, is_once: false }));
             }
         }
@@ -102,14 +103,14 @@ struct FixedLagData<'d> {
 
 impl FixedLagData<'_> {
     /// Returns the coldest and the warmest temperature.
-    fn temperature_range(&self) -> (f64, f64) {
+    fn temperature_range_c(&self) -> (f64, f64) {
         let fold = |(low, high): (f64, f64), t: &f64| (low.min(*t), high.max(*t));
         self.lagged_c.iter().fold((f64::INFINITY, f64::NEG_INFINITY), fold)
     }
 
     /// Returns `count` temperatures at equal steps from the coldest to the warmest.
-    fn evenly_spaced_temperatures(&self, count: usize) -> Vec<f64> {
-        let (low, high) = self.temperature_range();
+    fn evenly_spaced_temperatures_c(&self, count: usize) -> Vec<f64> {
+        let (low, high) = self.temperature_range_c();
         (0..count).map(|at| low + (high - low) * at as f64 / (count - 1) as f64).collect()
     }
 
@@ -118,8 +119,8 @@ impl FixedLagData<'_> {
     }
 
     /// Returns the best kink: by sixteenths first, then around the best of them.
-    fn best_kink(&self) -> Option<Vec<f64>> {
-        let (low, high) = self.temperature_range();
+    fn best_kink_knots_c(&self) -> Option<Vec<f64>> {
+        let (low, high) = self.temperature_range_c();
         let part = 1.0 / KINK_GRID_INTERVALS as f64;
         let mut best: Option<(f64, f64)> = None;
         let look = |share: f64, best: &mut Option<(f64, f64)>| {
@@ -143,7 +144,7 @@ impl FixedLagData<'_> {
 
     /// Returns what a table with these rows leaves of held-out rows, in µm RMS; `None` where the rows do
     /// not decide it.
-    fn held_out_rms(&self, knots_c: &[f64], groups: Option<&[usize]>) -> Option<f64> {
+    fn held_out_rms_um(&self, knots_c: &[f64], groups: Option<&[usize]>) -> Option<f64> {
         let columns = self.design_columns(knots_c);
         if self.y.len() < MIN_ROWS_PER_VALUE * columns.len() {
             return None;

@@ -5,10 +5,14 @@ use trueup_machine::{
     file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
 };
 
-use crate::{elongation::section_comment, report::Report};
+use crate::{elongation::section_comment, report::FitReport};
 
 /// Reports the constants that the data cannot separate.
-pub(super) fn report_inseparable_constants(report: &mut Report, mode: ThermalMode, is_table: bool) {
+pub(super) fn report_inseparable_constants(
+    report: &mut FitReport,
+    mode: ThermalMode,
+    is_table: bool,
+) {
     if is_table {
         return;
     }
@@ -31,7 +35,7 @@ pub(super) fn report_inseparable_constants(report: &mut Report, mode: ThermalMod
 pub(super) fn thermal_section(
     axis: LinearAxis,
     thermal: &ThermalLaw,
-    report: &Report,
+    report: &FitReport,
 ) -> NewSection {
     let mut section = NewSection::new(format!("axis.{}.thermal", axis.name()))
         .with_text("mode", thermal.mode.name())
@@ -43,10 +47,10 @@ pub(super) fn thermal_section(
         }
         None => {
             section = section.with_number("reference_c", thermal.reference_c);
-            if thermal.mode.has_constant() {
+            if thermal.mode.has_constant_term() {
                 section = section.with_number("constant_um_per_c", thermal.constant_um_per_c);
             }
-            if thermal.mode.has_position() {
+            if thermal.mode.has_position_term() {
                 section = section.with_number("slope_um_per_m_per_c", thermal.slope_um_per_m_per_c);
             }
         }

@@ -2,26 +2,26 @@
 
 use trueup_machine::file::{ThermalMode, ThermalRow};
 use trueup_numerics::{
-    least_squares::{SeparableModel, Solution},
+    least_squares::{QrSolution, SeparableModel},
     t_quantile,
 };
 
 use super::{CONFIDENCE_LEVEL, ThermalData};
 use crate::{
     pooled_rows::{self, PooledRows},
-    report::{Fact, Report},
+    report::{FitFact, FitReport},
 };
 
 /// A table must leave at least this share less than the lines do.
 const MIN_RMS_REDUCTION: f64 = 0.1;
 
 /// y = (a + b·P)·(T − T₀).
-pub(super) struct CommonReferenceModel<'a> {
+pub(super) struct CommonReferenceTemperatureModel<'a> {
     pub(super) lagged_c: Vec<f64>,
     pub(super) arm_m: &'a [f64],
 }
 
-impl SeparableModel for CommonReferenceModel<'_> {
+impl SeparableModel for CommonReferenceTemperatureModel<'_> {
     fn nonlinear_count(&self) -> usize {
         1
     }
@@ -42,12 +42,12 @@ impl SeparableModel for CommonReferenceModel<'_> {
 /// A fitted table.
 pub(super) struct FittedTable {
     pub(super) rows: Vec<ThermalRow>,
-    solution: Solution,
+    solution: QrSolution,
 }
 
 /// Returns the temperatures at which whole runs were measured, rising, each the mean of its runs; empty
 /// where a run's own temperature moves by more than a quarter of the way to the next.
-pub(super) fn temperature_levels(rows: &PooledRows<'_>, data: &ThermalData) -> Vec<f64> {
+pub(super) fn temperature_levels_c(rows: &PooledRows<'_>, data: &ThermalData) -> Vec<f64> {
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
     let Some(groups) = rows.run_indices() else { return Vec::new() };
     let mut spans: Vec<(f64, f64)> = Vec::new();
@@ -84,7 +84,7 @@ pub(super) fn temperature_levels(rows: &PooledRows<'_>, data: &ThermalData) -> V
 }
 
 impl FittedTable {
-    /// With rows at the `temperature_levels`, or, if `requested`, that many rows between the coldest and the
+    /// With rows at the `temperature_levels_c`, or, if `requested`, that many rows between the coldest and the
     /// warmest temperature; `None` where the data does not decide it.
     pub(super) fn fit(
         data: &ThermalData,
@@ -120,10 +120,10 @@ impl FittedTable {
         let solution = pooled_rows::solve_least_squares(&columns, &data.y, |_| true)?;
         let count = knots.len();
         let constant =
-            |at: usize| if mode.has_constant() { solution.coefficients[at] } else { 0.0 };
-        let first_slope = if mode.has_constant() { count } else { 0 };
+            |at: usize| if mode.has_constant_term() { solution.coefficients[at] } else { 0.0 };
+        let first_slope = if mode.has_constant_term() { count } else { 0 };
         let slope = |at: usize| {
-            if mode.has_position() { solution.coefficients[first_slope + at] } else { 0.0 }
+            if mode.has_position_term() { solution.coefficients[first_slope + at] } else { 0.0 }
         };
         let row = |(at, &temperature_c): (usize, &f64)| ThermalRow {
             temperature_c,
@@ -162,23 +162,23 @@ impl FittedTable {
         ratio > limit && left < 1.0 - MIN_RMS_REDUCTION
     }
 
-    pub(super) fn add_to_report(&self, report: &mut Report, mode: ThermalMode) {
+    pub(super) fn add_to_report(&self, report: &mut FitReport, mode: ThermalMode) {
         report.parameters.retain(|parameter| parameter.name == "lag_s");
         let temperatures: Vec<f64> = self.rows.iter().map(|row| row.temperature_c).collect();
-        report.facts.push(Fact::numbers("table_c", temperatures));
+        report.facts.push(FitFact::numbers("table_c", temperatures));
         let count = self.rows.len();
         let mut first = 0;
         let mut push = |name: &str, values: Vec<f64>| {
             let halves =
                 (0..count).map(|at| self.solution.confidence_half_width(first + at)).collect();
-            report.facts.push(Fact::numbers(format!("table_{name}"), values));
-            report.facts.push(Fact::numbers(format!("table_{name}_half_width"), halves));
+            report.facts.push(FitFact::numbers(format!("table_{name}"), values));
+            report.facts.push(FitFact::numbers(format!("table_{name}_half_width"), halves));
             first += count;
         };
-        if mode.has_constant() {
+        if mode.has_constant_term() {
             push("constant_um", self.rows.iter().map(|row| row.constant_um).collect());
         }
-        if mode.has_position() {
+        if mode.has_position_term() {
             push("slope_um_per_m", self.rows.iter().map(|row| row.slope_um_per_m).collect());
         }
         report.warnings.push(
@@ -215,12 +215,12 @@ pub(super) fn design_columns(
     knots: &[f64],
 ) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
-    if mode.has_constant() {
+    if mode.has_constant_term() {
         columns.extend(knots.iter().enumerate().map(|(at, _)| {
             lagged_c.iter().map(|t| hat_function(knots, at, *t)).collect::<Vec<f64>>()
         }));
     }
-    if mode.has_position() {
+    if mode.has_position_term() {
         columns.extend(knots.iter().enumerate().map(|(at, _)| {
             let values = lagged_c.iter().zip(arm_m);
             values.map(|(t, arm)| arm * hat_function(knots, at, *t)).collect::<Vec<f64>>()

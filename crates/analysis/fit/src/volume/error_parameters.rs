@@ -10,13 +10,13 @@ use std::fmt;
 use trueup_machine::{
     Machine,
     file::{
-        Angle, AngularErrorMotion, BSpline, LinearAxis, RotaryAxis, RotaryLocationErrors,
+        AngleProfile, AngularErrorMotion, BSpline, LinearAxis, RotaryAxis, RotaryLocationErrors,
         Straightness,
     },
     model::volumetric_error_um,
 };
 
-use super::{modes::Modes, reading::Pose};
+use super::{modes::SplineModes, reading::Pose};
 
 /// An axis that moves less, in mm, has no errors to be found.
 const MIN_TRAVEL_MM: f64 = 5.0;
@@ -125,7 +125,7 @@ pub struct ErrorParameters {
     /// The constants in the order of their columns.
     pub all: Vec<ErrorParameter>,
     /// The forms over the travel of X, Y and Z; `None` where it did not move.
-    pub modes: [Option<Modes>; 3],
+    pub modes: [Option<SplineModes>; 3],
     /// For each angle and each location error a machine that has a unit of it and nothing else.
     units: Vec<(GeometricError, Machine)>,
 }
@@ -137,7 +137,7 @@ impl ErrorParameters {
         let modes = [0, 1, 2].map(|n| {
             let at = || poses.iter().map(|pose| pose.position_mm[n]);
             let ends = [at().fold(f64::INFINITY, f64::min), at().fold(f64::MIN, f64::max)];
-            (ends[1] - ends[0] > MIN_TRAVEL_MM).then(|| Modes::new(ends))
+            (ends[1] - ends[0] > MIN_TRAVEL_MM).then(|| SplineModes::new(ends))
         });
         let errors = possible_errors(machine, &modes);
         let mut all = Vec::new();
@@ -149,7 +149,7 @@ impl ErrorParameters {
                     if !matches!(error, GeometricError::Straightness(..)) {
                         add(ErrorPart::Line);
                     }
-                    let count = modes[along.index()].as_ref().map_or(0, Modes::count);
+                    let count = modes[along.index()].as_ref().map_or(0, SplineModes::count);
                     (0..count).for_each(|n| add(ErrorPart::Form(n)));
                 }
             }
@@ -230,7 +230,7 @@ impl ErrorParameters {
 }
 
 /// Returns the errors that a machine can have where its axes have moved so.
-fn possible_errors(machine: &Machine, modes: &[Option<Modes>; 3]) -> Vec<GeometricError> {
+fn possible_errors(machine: &Machine, modes: &[Option<SplineModes>; 3]) -> Vec<GeometricError> {
     use LinearAxis::{X, Y, Z};
     let moves = |axis: LinearAxis| modes[axis.index()].is_some();
     let mut errors: Vec<GeometricError> = LinearAxis::ALL.map(GeometricError::Position).to_vec();
@@ -248,7 +248,7 @@ fn possible_errors(machine: &Machine, modes: &[Option<Modes>; 3]) -> Vec<Geometr
         GeometricError::Squareness(error, along) => moves(*error) && moves(*along),
         _ => error.motion_axis().is_none_or(moves),
     });
-    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
+    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes) {
         let shifts = LinearAxis::ALL.into_iter().filter(|other| other.index() != axis.index());
         errors.extend(shifts.map(|along| GeometricError::Shift(along, axis)));
         errors.extend(RotaryAxis::ALL.map(|about| GeometricError::Tilt(about, axis)));
@@ -279,7 +279,8 @@ fn unit_error_machine(machine: &Machine, error: GeometricError) -> Option<Machin
         GeometricError::Tilt(about, axis) => location(axis, [0.0; 3], one(about.index())),
         GeometricError::Angle(about, along) => {
             let knots_mm = vec![-1e6, -1e6, 1e6, 1e6];
-            let angle = Angle::Curve(BSpline { order: 2, knots_mm, control_um: vec![1.0; 2] });
+            let angle =
+                AngleProfile::Curve(BSpline { order: 2, knots_mm, control_um: vec![1.0; 2] });
             volume.angular.push(AngularErrorMotion { about, along, angle });
         }
         GeometricError::Position(_)

@@ -26,14 +26,14 @@ use super::{
 };
 
 /// The weight of a usual size, in constants.
-const PRIOR_WEIGHT: f64 = 2.0;
+const PRIOR_VARIANCE_WEIGHT: f64 = 2.0;
 /// The weight of the family for a function of its own, in forms.
-const FAMILY_WEIGHT: f64 = 4.0;
+const FAMILY_VARIANCE_WEIGHT: f64 = 4.0;
 /// The weight of the stated noise, in readings.
-const NOISE_WEIGHT: f64 = 4.0;
+const STATED_NOISE_WEIGHT: f64 = 4.0;
 const MAX_ITERATIONS: usize = 60;
 /// Change of a logarithm of a variance at which it has settled.
-const CONVERGENCE_TOLERANCE: f64 = 0.02;
+const LOG_VARIANCE_TOLERANCE: f64 = 0.02;
 /// The smallest noise, in µm: readings have digits.
 const MIN_NOISE_UM: f64 = 0.02;
 
@@ -61,7 +61,7 @@ pub(crate) enum VarianceFamily {
 impl VarianceFamily {
     /// Returns the family of a constant.
     #[must_use]
-    pub(crate) fn from_constant(constant: ErrorParameter) -> Self {
+    pub(crate) fn from_parameter(constant: ErrorParameter) -> Self {
         match (constant.error, constant.part) {
             (GeometricError::Position(_), ErrorPart::Form(_)) => Self::Position,
             (GeometricError::Position(_), _) => Self::Scale,
@@ -109,7 +109,7 @@ impl Variances {
         size: f64,
     ) -> Self {
         let of = |constant: &ErrorParameter| {
-            (size * VarianceFamily::from_constant(*constant).typical_std()).powi(2)
+            (size * VarianceFamily::from_parameter(*constant).typical_std()).powi(2)
                 * variance_fraction(design, *constant)
         };
         let of_nuisance =
@@ -120,7 +120,7 @@ impl Variances {
 
     /// Returns the same without any error of the machine.
     #[must_use]
-    pub(crate) fn without_errors(&self, design: &DesignMatrix) -> Self {
+    pub(crate) fn without_machine_errors(&self, design: &DesignMatrix) -> Self {
         let mut own = self.clone();
         own.of_column[..design.constants.all.len()].fill(0.0);
         own
@@ -228,8 +228,8 @@ fn update_noise(
         let own = &normal.squares * &found.mean;
         let left = normal.whole - 2.0 * found.mean.dot(&normal.products) + found.mean.dot(&own);
         let of_constants = normal.squares.dot(&found.covariance);
-        let sum = left.max(0.0) + of_constants + NOISE_WEIGHT * stated_um * stated_um;
-        *noise_um = (sum / (normal.count as f64 + NOISE_WEIGHT)).sqrt().max(MIN_NOISE_UM);
+        let sum = left.max(0.0) + of_constants + STATED_NOISE_WEIGHT * stated_um * stated_um;
+        *noise_um = (sum / (normal.count as f64 + STATED_NOISE_WEIGHT)).sqrt().max(MIN_NOISE_UM);
     }
 }
 
@@ -241,7 +241,7 @@ fn update_variances(design: &DesignMatrix, found: &Posterior, variances: &mut Va
     };
     let mut groups: Vec<(VarianceFamily, Option<GeometricError>, Vec<usize>)> = Vec::new();
     for (at, constant) in all.iter().enumerate() {
-        let family = VarianceFamily::from_constant(*constant);
+        let family = VarianceFamily::from_parameter(*constant);
         let error = family.is_form().then_some(constant.error);
         match groups.iter_mut().find(|group| (group.0, group.1) == (family, error)) {
             Some(group) => group.2.push(at),
@@ -259,9 +259,10 @@ fn update_variances(design: &DesignMatrix, found: &Posterior, variances: &mut Va
             .iter()
             .filter(|entry| entry.0 == *family)
             .fold((0.0, 0.0), |(sum, count), entry| (sum + entry.1, count + entry.2));
-        let of_family = (sum + PRIOR_WEIGHT * usual) / (count + PRIOR_WEIGHT);
+        let of_family = (sum + PRIOR_VARIANCE_WEIGHT * usual) / (count + PRIOR_VARIANCE_WEIGHT);
         let size = if family.is_form() {
-            (mean(group) + FAMILY_WEIGHT * of_family) / (group.len() as f64 + FAMILY_WEIGHT)
+            (mean(group) + FAMILY_VARIANCE_WEIGHT * of_family)
+                / (group.len() as f64 + FAMILY_VARIANCE_WEIGHT)
         } else {
             of_family
         };
@@ -276,5 +277,5 @@ fn is_converged(before: &Variances, after: &Variances) -> bool {
     let sizes = before.of_column.iter().zip(&after.of_column).filter(|(a, _)| **a > 0.0);
     let sizes = sizes.map(|(a, b)| (b / a).ln().abs());
     // The noise is a standard deviation.
-    noise.map(|noise| 2.0 * noise).chain(sizes).all(|size| size < CONVERGENCE_TOLERANCE)
+    noise.map(|noise| 2.0 * noise).chain(sizes).all(|size| size < LOG_VARIANCE_TOLERANCE)
 }

@@ -1,17 +1,19 @@
 //! The page of a volume: what is known of each error, its curve with the 95 % interval, and what to measure next.
 
-use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
+use trueup_page::{
+    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+};
 
 use super::{VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind};
 
 /// Returns the page of a report.
 #[must_use]
-pub fn build_page(report: &VolumeReport, origin: &Origin) -> Page {
+pub fn build_page(report: &VolumeReport, origin: &Provenance) -> Page {
     let mut page = Page::new("The errors of the volume, ISO 230-1 and 230-7");
     let acting: Vec<&ErrorAssessment> =
         report.known.iter().filter(|assessment| assessment.acts).collect();
     let known = acting.iter().filter(|assessment| assessment.is_known).count();
-    let (state, heading) = match (report.is_improvement(), known == acting.len()) {
+    let (state, heading) = match (report.has_significant_improvement(), known == acting.len()) {
         _ if report.held_out.readings == 0 => {
             ("bad", "Not written: no set-up has enough readings to hold some out")
         }
@@ -106,7 +108,7 @@ fn error_chart(it: &ErrorAssessment) -> String {
     let along = it.error.motion_axis().map_or_else(String::new, |axis| axis.name().to_uppercase());
     let line = |name: &str, colour, sign: f64| {
         let points = it.curve.iter().map(|[mm, value, half]| [*mm, value + sign * half]).collect();
-        Series::line(name, colour, points)
+        ChartSeries::line(name, colour, points)
     };
     let state = if it.is_known { "" } else { ", not known by itself" };
     Chart {
@@ -114,9 +116,9 @@ fn error_chart(it: &ErrorAssessment) -> String {
         x: format!("{along}, mm"),
         y: format!("{}, {}", it.error, it.error.unit()),
         series: vec![
-            line("95 % interval", Colour::Before, 1.0),
-            line("95 % interval", Colour::Before, -1.0),
-            line("found", Colour::After, 0.0),
+            line("95 % interval", ColourRole::Before, 1.0),
+            line("95 % interval", ColourRole::Before, -1.0),
+            line("found", ColourRole::After, 0.0),
         ],
     }
     .to_figure()

@@ -263,7 +263,7 @@ pub fn cross_validate(
         .into_iter()
         .map(|at| (at, random.uniform_index(CROSS_VALIDATION_BLOCKS)))
         .collect();
-    let without = variances.without_errors(design);
+    let without = variances.without_machine_errors(design);
     let (mut squares, mut count) = ([0.0; 2], 0);
     let mut gains: BTreeMap<[i64; 5], f64> = BTreeMap::new();
     for block in 0..CROSS_VALIDATION_BLOCKS {

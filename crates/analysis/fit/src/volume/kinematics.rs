@@ -1,6 +1,6 @@
 //! Directions and places on the workpiece and on the tool, along the machine's axes.
 
-use trueup_machine::{Machine, file::Chain, model::rotate_about_axis};
+use trueup_machine::{Machine, file::AxisChain, model::rotate_about_axis};
 
 use super::reading::Pose;
 
@@ -8,13 +8,13 @@ use super::reading::Pose;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ForwardKinematics<'m> {
     machine: &'m Machine,
-    chain: &'m Chain,
+    chain: &'m AxisChain,
 }
 
 impl<'m> ForwardKinematics<'m> {
     /// Returns the frame of a machine.
     #[must_use]
-    pub fn new(machine: &'m Machine, chain: &'m Chain) -> Self {
+    pub fn new(machine: &'m Machine, chain: &'m AxisChain) -> Self {
         Self { machine, chain }
     }
 

@@ -19,12 +19,12 @@ use crate::bspline::{self, evaluate_with_derivatives};
 /// Pieces of the spline over the travel.
 const SPLINE_SPANS: usize = 8;
 /// Points of a piece in the integrals.
-const QUADRATURE_POINTS: usize = 16;
+const QUADRATURE_POINTS_PER_SPAN: usize = 16;
 const SPLINE_ORDER: usize = 4;
 
 /// The forms over the travel of an axis.
 #[derive(Clone, Debug)]
-pub struct Modes {
+pub struct SplineModes {
     /// The ends of the travel that was measured.
     pub ends_mm: [f64; 2],
     knots_mm: Vec<f64>,
@@ -34,7 +34,7 @@ pub struct Modes {
     pub shares: Vec<f64>,
 }
 
-impl Modes {
+impl SplineModes {
     /// Returns the forms between two positions.
     ///
     /// # Panics
@@ -54,7 +54,7 @@ impl Modes {
             })
             .collect();
         let (mut mass, mut rough) = (DMatrix::zeros(count, count), DMatrix::zeros(count, count));
-        let points = SPLINE_SPANS * QUADRATURE_POINTS;
+        let points = SPLINE_SPANS * QUADRATURE_POINTS_PER_SPAN;
         for point in 0..points {
             let mm = first + (last - first) * (point as f64 + 0.5) / points as f64;
             let at =
@@ -101,7 +101,7 @@ impl Modes {
     #[must_use]
     pub fn evaluate(&self, mm: f64) -> Vec<f64> {
         let (first, weights) =
-            bspline::basis(&self.knots_mm, SPLINE_ORDER, self.clamp_to_travel(mm));
+            bspline::evaluate_basis(&self.knots_mm, SPLINE_ORDER, self.clamp_to_travel(mm));
         let of = |shape: &DVector<f64>| -> f64 {
             weights.iter().enumerate().map(|(n, weight)| weight * shape[first + n]).sum()
         };
@@ -129,11 +129,11 @@ impl Modes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_machine::model::spline_um;
+    use trueup_machine::model::spline_value_um;
 
     #[test]
     fn forms_have_mean_square_one_and_no_line() {
-        let modes = Modes::new([-100.0, 500.0]);
+        let modes = SplineModes::new([-100.0, 500.0]);
         assert_eq!(modes.count(), 9);
         let mean = |of: &dyn Fn(f64, &[f64]) -> f64| -> f64 {
             let each = (0..2400).map(|n| {
@@ -156,14 +156,14 @@ mod tests {
 
     #[test]
     fn a_spline_is_the_sum_of_its_forms_and_its_line() {
-        let modes = Modes::new([0.0, 400.0]);
+        let modes = SplineModes::new([0.0, 400.0]);
         let amounts: Vec<f64> = (0..9_u8).map(|n| 3.0 - f64::from(n)).collect();
         let spline = modes.to_spline(&amounts, 20.0);
         for mm in [0.0, 13.0, 200.0, 371.0, 400.0] {
             let forms: f64 =
                 modes.evaluate(mm).iter().zip(&amounts).map(|(at, amount)| at * amount).sum();
             let expected = forms + 20.0 * (mm - 200.0) / 1000.0;
-            assert!((spline_um(&spline, mm) - expected).abs() < 1e-9, "at {mm}");
+            assert!((spline_value_um(&spline, mm) - expected).abs() < 1e-9, "at {mm}");
         }
     }
 }

@@ -18,7 +18,7 @@ use super::{
 };
 
 /// The least part of what is open that a measurement must take away to be proposed without settling it.
-const MAX_REMAINING_RATIO: f64 = 0.7;
+const MAX_HELPFUL_STD_RATIO: f64 = 0.7;
 
 /// A measurement that could be made.
 struct CandidateTest {
@@ -74,7 +74,7 @@ pub(crate) fn propose_next_tests(
         it.next_test = match (it.is_known, left) {
             (true, _) => continue,
             (false, left) if left <= MAX_KNOWN_STD_RATIO => text,
-            (false, left) if left <= MAX_REMAINING_RATIO * it.open => format!("{text}; it helps and does not settle it"),
+            (false, left) if left <= MAX_HELPFUL_STD_RATIO * it.open => format!("{text}; it helps and does not settle it"),
             (false, _) if !it.acts => {
                 "it does not move the tip: with this tool no measurement of the tip sees it, and no part does".into()
             }
@@ -127,7 +127,7 @@ fn candidate_tests(
         all.push(CandidateTest { text, readings: plate_readings(&place, tool_mm) });
     }
     let chain = machine.volume.chain.as_ref();
-    let rotary = chain.map(trueup_machine::file::Chain::rotary_axes).unwrap_or_default();
+    let rotary = chain.map(trueup_machine::file::AxisChain::rotary_axes).unwrap_or_default();
     if let Some(chain) = chain.filter(|_| !rotary.is_empty()) {
         let frame = ForwardKinematics::new(machine, chain);
         let middle = place([0.5; 3], [0.0; 3], tool_mm);

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::{BadInput, Machine, RunFile, file::LinearAxis, predict::Predictor};
+use trueup_machine::{InputFileError, Machine, RunFile, file::LinearAxis, predict::Predictor};
 
 use super::reading::Pose;
 use crate::partial_prediction::{is_model_input, restrict_to_columns};
@@ -27,7 +27,7 @@ pub(crate) fn predict_errors_um(
     machine: &Machine,
     stated: &[PoseWithApproach],
     warnings: &mut Vec<String>,
-) -> Result<Vec<[f64; 3]>, BadInput> {
+) -> Result<Vec<[f64; 3]>, InputFileError> {
     if stated.is_empty() {
         return Ok(Vec::new());
     }

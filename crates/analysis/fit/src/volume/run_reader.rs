@@ -11,7 +11,7 @@
 //! their alignment. Angles that the run does not state are 0.
 
 use trueup_machine::{
-    BadInput, Location, Machine, RunFile,
+    InputFileError, Location, Machine, RunFile,
     applied_offsets::applied_offsets_um,
     file::{LinearAxis, RotaryAxis},
 };
@@ -20,7 +20,7 @@ use super::{
     prediction::{PoseWithApproach, predict_errors_um},
     reading::{CirclePosition, EdgePosition, Pose, ReadingKind, VolumeReading, dot},
 };
-use crate::circle::{self, record::READING_COLUMN as RADIAL};
+use crate::circle::{self, record::RADIAL_DEVIATION_COLUMN as RADIAL};
 
 /// The columns of components, of X, Y and Z.
 pub(crate) const COMPONENT_COLUMNS: [&str; 3] =
@@ -43,7 +43,7 @@ pub fn read(
     machine: &Machine,
     is_certified: bool,
     warnings: &mut Vec<String>,
-) -> Result<Vec<VolumeReading>, BadInput> {
+) -> Result<Vec<VolumeReading>, InputFileError> {
     let mut readings: Vec<VolumeReading> = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let own = read_rows(run, file, machine, is_certified, warnings)?;
@@ -70,7 +70,7 @@ pub fn read(
             readings.len(),
             COMPONENT_COLUMNS.join(", ")
         );
-        return Err(BadInput::new(Location::start_of_file(start), rule));
+        return Err(InputFileError::new(Location::start_of_file(start), rule));
     }
     Ok(readings)
 }
@@ -93,13 +93,15 @@ impl<'r> RunColumns<'r> {
         run: &'r RunFile,
         machine: &Machine,
         warnings: &mut Vec<String>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let mut position_mm = [[].as_slice(); 3];
         for (values, axis) in position_mm.iter_mut().zip(LinearAxis::ALL) {
             *values = run.require_column(&format!("{}_mm", axis.name()))?;
         }
         let angle_deg = RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name())));
-        for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
+        for axis in
+            machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes)
+        {
             if angle_deg[axis.index()].is_none() {
                 warnings.push(format!(
                     "{}: {1}_deg is missing: {2} is taken to stand at 0°",
@@ -165,7 +167,7 @@ fn read_rows(
     machine: &Machine,
     is_certified: bool,
     warnings: &mut Vec<String>,
-) -> Result<Vec<VolumeReading>, BadInput> {
+) -> Result<Vec<VolumeReading>, InputFileError> {
     let columns = RunColumns::from_run(run, machine, warnings)?;
     let mut setups = SetupIndex::default();
     let (mut readings, mut stated) = (Vec::new(), Vec::new());
@@ -311,7 +313,7 @@ fn read_diagonals(
     columns: &RunColumns<'_>,
     setups: &mut SetupIndex,
     add: &mut dyn FnMut(VolumeReading),
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let Some(values) = run.column(DIAGONAL_COLUMN) else { return Ok(()) };
     let key = |row: usize| columns.setup.map_or(0, |setup| setup[row].to_bits());
     let rows: Vec<usize> = (0..run.row_count()).filter(|row| !values[*row].is_nan()).collect();
@@ -354,7 +356,7 @@ fn read_circles(
     columns: &RunColumns<'_>,
     setups: &mut SetupIndex,
     add: &mut dyn FnMut(VolumeReading, [f64; 3]),
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     if run.column(RADIAL).is_none() {
         return Ok(());
     }

@@ -7,10 +7,10 @@
 use trueup_machine::{
     Machine,
     file::{
-        Angle, BSpline, LinearAxis, PitchErrorTable, RotaryAxis, Squareness,
-        writer::{Edit, NewSection, round_to_decimals},
+        AngleProfile, BSpline, LinearAxis, PitchErrorTable, RotaryAxis, Squareness,
+        writer::{MachineFileEdit, NewSection, round_to_decimals},
     },
-    model::{pitch_um, spline_um},
+    model::{pitch_error_um, spline_value_um},
 };
 
 use super::{
@@ -28,7 +28,7 @@ const MAX_TABLE_POINTS: usize = 2_000;
 /// An error that is smaller, in µm, µm/m or µrad, is not written.
 const MIN_WRITTEN_ERROR: f64 = 0.02;
 /// Points of a spline that takes two together.
-const SPLINE_SAMPLES: u32 = 400;
+const SPLINE_SAMPLE_INTERVALS: u32 = 400;
 
 /// Returns the sections, and which errors they have.
 #[must_use]
@@ -39,7 +39,7 @@ pub(crate) fn build_edit(
     known: &[ErrorAssessment],
     points_mm: Option<[[f64; 3]; 3]>,
     warnings: &mut Vec<String>,
-) -> (Edit, Vec<GeometricError>) {
+) -> (MachineFileEdit, Vec<GeometricError>) {
     let mut out = SectionWriter {
         machine,
         constants,
@@ -65,8 +65,8 @@ pub(crate) fn build_edit(
         out.sections.push(section);
     }
     out.write_angles(warnings);
-    out.write_rotary();
-    let edit = Edit { sections: out.sections, ..Edit::default() };
+    out.write_rotary_axis_lines();
+    let edit = MachineFileEdit { sections: out.sections, ..MachineFileEdit::default() };
     (edit, out.written)
 }
 
@@ -209,8 +209,8 @@ impl SectionWriter<'_> {
             let mut there = there.filter(|motion| (motion.about, motion.along) == (about, along));
             let sum = match there.next().map(|motion| &motion.angle) {
                 None => curve,
-                Some(Angle::Curve(spline)) => sum_splines(curve, Some(spline), None),
-                Some(&Angle::Line(per_m)) => {
+                Some(AngleProfile::Curve(spline)) => sum_splines(curve, Some(spline), None),
+                Some(&AngleProfile::Line(per_m)) => {
                     let travel_mm = self.machine.axes[along.index()].travel_mm;
                     if travel_mm.is_none() {
                         let [first, last] = ends_mm(&curve).map(|mm| round_to_decimals(mm, 1));
@@ -220,14 +220,14 @@ impl SectionWriter<'_> {
                              With travel_mm under [axis.{axis}] it goes on over the whole travel"
                         ));
                     }
-                    sum_splines(curve, None, Some(StatedLine { per_m, travel_mm }))
+                    sum_splines(curve, None, Some(ExistingLine { per_m, travel_mm }))
                 }
             };
             self.push_spline(NewSection::new(error.machine_file_key()), error, sum, "control_urad");
         }
     }
 
-    fn write_rotary(&mut self) {
+    fn write_rotary_axis_lines(&mut self) {
         for axis in RotaryAxis::ALL {
             let there = self.machine.volume.rotary.iter().find(|location| location.axis == axis);
             let (mut numbers, mut remarks) = (Vec::new(), Vec::new());
@@ -289,7 +289,8 @@ fn add_curve_to_table(curve: &BSpline, there: Option<&PitchErrorTable>) -> Pitch
     let of = |direction: f64| -> Vec<f64> {
         let um = |n: usize| {
             let mm = first + step * n as f64;
-            spline_um(curve, mm) + there.map_or(0.0, |there| pitch_um(there, mm, direction))
+            spline_value_um(curve, mm)
+                + there.map_or(0.0, |there| pitch_error_um(there, mm, direction))
         };
         (0..points).map(|n| round_to_decimals(um(n), MACHINE_FILE_DECIMALS)).collect()
     };
@@ -299,7 +300,7 @@ fn add_curve_to_table(curve: &BSpline, there: Option<&PitchErrorTable>) -> Pitch
 
 /// A line through 0 that the file has, which ends nowhere.
 #[derive(Clone, Copy)]
-struct StatedLine {
+struct ExistingLine {
     per_m: f64,
     /// The travel of its axis, where the file states it.
     travel_mm: Option<[f64; 2]>,
@@ -311,7 +312,7 @@ fn ends_mm(spline: &BSpline) -> [f64; 2] {
 
 /// Returns the sum of a curve and of the spline or the line that was there, over all that they and the travel reach. The end of
 /// each spline is held beyond it, so that the sum has a bend there.
-fn sum_splines(curve: BSpline, there: Option<&BSpline>, line: Option<StatedLine>) -> BSpline {
+fn sum_splines(curve: BSpline, there: Option<&BSpline>, line: Option<ExistingLine>) -> BSpline {
     let mut knots: Vec<f64> = curve.knots_mm.clone();
     knots.extend(there.iter().flat_map(|curve| curve.knots_mm.iter().copied()));
     knots.extend(line.and_then(|line| line.travel_mm).into_iter().flatten());
@@ -328,18 +329,23 @@ fn sum_splines(curve: BSpline, there: Option<&BSpline>, line: Option<StatedLine>
     let inner: Vec<f64> = inner.flat_map(|&knot| vec![knot; times(knot)]).collect();
     let of_line = |mm: f64| line.map_or(0.0, |line| line.per_m * mm / 1000.0);
     let at_mm = |mm: f64| {
-        spline_um(&curve, mm) + there.map_or(0.0, |spline| spline_um(spline, mm)) + of_line(mm)
+        spline_value_um(&curve, mm)
+            + there.map_or(0.0, |spline| spline_value_um(spline, mm))
+            + of_line(mm)
     };
-    let mut at: Vec<f64> = (0..=SPLINE_SAMPLES)
-        .map(|n| first + (last - first) * f64::from(n) / f64::from(SPLINE_SAMPLES))
+    let mut at: Vec<f64> = (0..=SPLINE_SAMPLE_INTERVALS)
+        .map(|n| first + (last - first) * f64::from(n) / f64::from(SPLINE_SAMPLE_INTERVALS))
         .collect();
     // Each piece has points of its own.
     let inside = |pair: &[f64]| [1.0, 2.0, 3.0].map(|n| pair[0] + (pair[1] - pair[0]) * n / 4.0);
     at.extend(knots.windows(2).flat_map(inside));
     at.sort_unstable_by(f64::total_cmp);
     let points = at.iter().map(|mm| (*mm, at_mm(*mm), 1.0));
-    let fitted =
-        bspline::fit_least_squares(bspline::clamped_knots(4, first, &inner, last), 4, points);
+    let fitted = bspline::fit_least_squares_spline(
+        bspline::clamped_knots(4, first, &inner, last),
+        4,
+        points,
+    );
     fitted.map_or(curve.clone(), |fitted| fitted.spline)
 }
 
@@ -363,7 +369,7 @@ mod tests {
             &[300.0, 300.0, 300.0, 300.0, 450.0, 450.0, 450.0, 450.0],
             &[2.0, 9.0, -9.0, 4.0],
         );
-        let line = StatedLine { per_m: 50.0, travel_mm: Some([-100.0, 1000.0]) };
+        let line = ExistingLine { per_m: 50.0, travel_mm: Some([-100.0, 1000.0]) };
         for (there, line) in [(None, Some(line)), (Some(&wider), None), (Some(&within), None)] {
             let sum = sum_splines(curve.clone(), there, line);
             sum.validate().expect("a spline of a machine file");
@@ -376,10 +382,10 @@ mod tests {
             assert_eq!([first, last], reach_mm);
             for n in 0..=220 {
                 let mm = first + (last - first) * f64::from(n) / 220.0;
-                let whole = spline_um(&curve, mm)
-                    + there.map_or(0.0, |spline| spline_um(spline, mm))
+                let whole = spline_value_um(&curve, mm)
+                    + there.map_or(0.0, |spline| spline_value_um(spline, mm))
                     + line.map_or(0.0, |line| line.per_m * mm / 1000.0);
-                let um = spline_um(&sum, mm);
+                let um = spline_value_um(&sum, mm);
                 assert!((um - whole).abs() < 1e-6, "at {mm} mm: {um}, and it is {whole}");
             }
         }

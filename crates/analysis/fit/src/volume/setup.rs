@@ -15,7 +15,7 @@ use std::{collections::BTreeMap, sync::LazyLock};
 
 use super::{
     kinematics::ForwardKinematics,
-    modes::Modes,
+    modes::SplineModes,
     reading::{EdgePosition, Pose, ReadingKind, VolumeReading, cross, dot},
 };
 
@@ -57,8 +57,8 @@ const PRIOR_DIRECTION_STD_UM: f64 = 20.0;
 const PRIOR_EDGE_STD_UM: f64 = 10.0;
 
 /// Returns the forms over an edge, from 0 to 1.
-fn edge_modes() -> &'static Modes {
-    static EDGE_MODES: LazyLock<Modes> = LazyLock::new(|| Modes::new([0.0, 1.0]));
+fn edge_modes() -> &'static SplineModes {
+    static EDGE_MODES: LazyLock<SplineModes> = LazyLock::new(|| SplineModes::new([0.0, 1.0]));
     &EDGE_MODES
 }
 

@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_fit::circle::{Cause, CircleFinding, CircleReport, CircleVerdict, fit_circles};
+use trueup_fit::circle::{CircleCause, CircleFinding, CircleReport, CircleVerdict, fit_circles};
 use trueup_machine::{Machine, MachineFile, RunFile, file::LinearAxis};
 
 use crate::circle_drawn::{CircleFault, Drawn};
@@ -53,7 +53,7 @@ fn a_table_that_leans_to_plus_x_is_x_of_y_above_zero() {
     // At y = +100 mm x is 10 µm too large: at 45° the radius is 10·sin 45°·cos 45° = 5 µm too large.
     let report = report(&Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0));
     let found = only(&report);
-    assert_eq!(found.cause, Cause::Squareness);
+    assert_eq!(found.cause, CircleCause::Squareness);
     assert!((value(found, "amplitude_um") - 5.0).abs() < 0.02, "{found:?}");
     let squareness = &machine(&report).squareness[0];
     assert_eq!((squareness.error, squareness.along), (LinearAxis::X, LinearAxis::Y));
@@ -65,7 +65,7 @@ fn a_table_that_is_left_behind_has_backlash_above_zero() {
     for width_um in [8.0, -8.0] {
         let report = report(&Drawn::ideal(vec![CircleFault::Play(1, width_um)], 100.0));
         let found = only(&report);
-        assert_eq!((found.cause, found.axis), (Cause::Backlash, Some(LinearAxis::Y)));
+        assert_eq!((found.cause, found.axis), (CircleCause::Backlash, Some(LinearAxis::Y)));
         let backlash = machine(&report).axes[1].backlash.expect("a backlash");
         assert!((backlash.width_um - width_um).abs() < 0.05, "{backlash:?}");
     }
@@ -89,7 +89,7 @@ fn an_x_axis_that_moves_too_far_gets_half_of_the_mismatch_above_zero() {
 fn an_x_axis_that_lags_more_is_a_positive_lag_that_no_table_corrects() {
     let report = report(&Drawn::ideal(vec![CircleFault::Servo(0.5)], 100.0));
     let found = only(&report);
-    assert_eq!((found.cause, found.compensated), (Cause::ServoMismatch, false));
+    assert_eq!((found.cause, found.compensated), (CircleCause::ServoMismatch, false));
     assert!((value(found, "lag_difference_ms") - 0.5).abs() < 0.01, "{found:?}");
     assert!(report.edit.is_empty() && report.verdict == CircleVerdict::Explained);
 }
@@ -103,7 +103,7 @@ fn a_cyclic_error_is_written_in_phase_with_the_machine_s_position() {
     let pitch = axes[0].pitch.as_ref().expect("a table");
     for mm in [-60.0_f64, -3.3, 41.7, 88.0] {
         let expected = 3.0 * (std::f64::consts::TAU * mm / 10.0 + 0.7).sin();
-        let found = trueup_machine::model::pitch_um(pitch, mm, 1.0);
+        let found = trueup_machine::model::pitch_error_um(pitch, mm, 1.0);
         assert!((found - expected).abs() < 0.25, "{mm}: {found} and {expected}");
     }
 }
@@ -128,7 +128,7 @@ fn a_straightness_is_written_by_its_form_for_either_axis() {
             .iter()
             .zip(errors)
             .map(|(angle, e)| {
-                trueup_machine::model::spline_um(&curve.spline, mm(angle)) - e[1 - axis]
+                trueup_machine::model::spline_value_um(&curve.spline, mm(angle)) - e[1 - axis]
             })
             .collect();
         let x: Vec<f64> = angles.iter().map(mm).collect();
@@ -150,7 +150,7 @@ fn spikes_and_drift_are_reported_and_not_written() {
     let expected: BTreeSet<String> = drawn.faults.iter().map(CircleFault::name).collect();
     assert_eq!(named(&report), expected);
     assert!(report.edit.is_empty(), "{:?}", report.written);
-    let is_spike = |finding: &&CircleFinding| finding.cause == Cause::ReversalSpike;
+    let is_spike = |finding: &&CircleFinding| finding.cause == CircleCause::ReversalSpike;
     let spike = report.circles[0].findings.iter().find(is_spike).expect("named");
     // The peak of the drawn shape is 0.72 of its height, 0.24 decays behind the reversal.
     let height = value(spike, "height_positive_end_ccw_um");

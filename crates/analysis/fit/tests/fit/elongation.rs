@@ -8,12 +8,12 @@ use crate::support::{
 };
 use trueup_fit::{FitVerdict, elongation};
 use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::ElongationSource};
-use trueup_measured_data::find_file as measured;
+use trueup_measured_data::find_measured_file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0 # cold\num_per_count = 0.0152587890625\n";
 
-fn fit(run: UncompensatedRun<'_>, text: &str) -> trueup_fit::Report {
+fn fit(run: UncompensatedRun<'_>, text: &str) -> trueup_fit::FitReport {
     let machine = machine(text);
     elongation::fit_elongation(&[run], Some(&machine), &elongation::ElongationOptions::default())
         .expect("a fit")

@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
-use trueup_fit::{Report, elongation, pitch, straightness, straightness_report, thermal};
+use trueup_fit::{FitReport, elongation, pitch, straightness, straightness_report, thermal};
 use trueup_machine::{
     MachineFile, RunFile, applied_offsets::UncompensatedRun, compile, file::LinearAxis,
 };
@@ -28,7 +28,7 @@ fn read(path: &Path) -> UncompensatedRun<'static> {
 }
 
 /// Returns length and CRC of what the machine file `text` compiles to with what was fitted.
-fn length_and_crc(text: &str, report: &Report) -> (usize, u32) {
+fn length_and_crc(text: &str, report: &FitReport) -> (usize, u32) {
     assert!(report.verdict.is_fitted(), "{:?}", report.verdict);
     let fitted = report.edit.apply(text, Path::new("m.toml")).expect("it loads");
     let machine = MachineFile::parse(&fitted, Path::new("m.toml")).expect("what was written");
@@ -36,23 +36,23 @@ fn length_and_crc(text: &str, report: &Report) -> (usize, u32) {
     (compiled.blob().len(), calibration_crc(compiled.blob()))
 }
 
-fn fit_pitch(run: &UncompensatedRun<'_>) -> Report {
+fn fit_pitch(run: &UncompensatedRun<'_>) -> FitReport {
     pitch::fit(run, LinearAxis::X, &pitch::PitchFitOptions::default()).expect("a fit").report
 }
 
-fn fit_backlash(run: &UncompensatedRun<'_>) -> Report {
+fn fit_backlash(run: &UncompensatedRun<'_>) -> FitReport {
     pitch::fit_backlash(run, LinearAxis::X, &pitch::PitchFitOptions::default())
         .expect("a fit")
         .report
 }
 
-fn fit_growth(run: &UncompensatedRun<'_>, text: &str) -> Report {
+fn fit_growth(run: &UncompensatedRun<'_>, text: &str) -> FitReport {
     let machine = MachineFile::parse(text, Path::new("m.toml")).expect("the test's own");
     let options = elongation::ElongationOptions::default();
     elongation::fit_elongation(std::slice::from_ref(run), Some(&machine), &options).expect("a fit")
 }
 
-fn fit_heat(run: &UncompensatedRun<'_>, axis: LinearAxis, temperature: &str) -> Report {
+fn fit_heat(run: &UncompensatedRun<'_>, axis: LinearAxis, temperature: &str) -> FitReport {
     let options = thermal::ThermalFitOptions {
         temperature: Some(temperature.into()),
         ..thermal::ThermalFitOptions::default()
@@ -60,7 +60,7 @@ fn fit_heat(run: &UncompensatedRun<'_>, axis: LinearAxis, temperature: &str) -> 
     thermal::fit(std::slice::from_ref(run), axis, None, &options).expect("a fit")
 }
 
-fn fit_curve(run: &UncompensatedRun<'_>) -> Report {
+fn fit_curve(run: &UncompensatedRun<'_>) -> FitReport {
     let options = straightness::StraightnessFitOptions::default();
     straightness_report::fit_curve(run, Some("dz"), |_| Ok(None), &options).expect("a fit")
 }
@@ -111,7 +111,9 @@ fn fits_of_measured_runs_compile_to_the_bytes_they_did() {
     let frame = BARE.replace("temp_a_c", "temp_frame_c");
     let mut found = expected;
     for (name, bytes) in &mut found {
-        let Some(path) = trueup_measured_data::find_file(&format!("{name}.csv")) else { return };
+        let Some(path) = trueup_measured_data::find_measured_file(&format!("{name}.csv")) else {
+            return;
+        };
         let run = read(&path);
         *bytes = match name.starts_with("ess_iso230") {
             true => length_and_crc(BARE, &fit_pitch(&run)),

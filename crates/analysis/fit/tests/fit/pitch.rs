@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     FitVerdict,
-    pitch::{PitchFit, PitchFitOptions, TableMode, WidthRule, fit, fit_backlash},
-    report::FactValue,
+    pitch::{BacklashWidthRule, PitchFit, PitchFitOptions, TableMode, fit, fit_backlash},
+    report::FitFactValue,
 };
 use trueup_machine::{
     applied_offsets::UncompensatedRun,
@@ -177,7 +177,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
     let loss = |fit: &PitchFit| {
         let fact = fit.report.facts.iter().find(|fact| fact.name == "resampling_loss_um");
         match fact.expect("uneven targets are resampled").value {
-            FactValue::Number(um) => um,
+            FitFactValue::Number(um) => um,
             _ => panic!("a number"),
         }
     };
@@ -296,7 +296,7 @@ fn seven_readings_at_the_middle_and_the_ends_give_the_largest_mean_with_its_sign
         let width_um = fit.backlash.expect("it repeats").width_um;
         assert!((width_um - sign * 5.0).abs() < 0.3, "{width_um}");
         assert!(fit.depends_on_position);
-        let mean = PitchFitOptions { width: WidthRule::Mean, ..PitchFitOptions::default() };
+        let mean = PitchFitOptions { width: BacklashWidthRule::Mean, ..PitchFitOptions::default() };
         let fit = fit_backlash(&run, X, &mean).expect("it keeps the rules");
         assert!((fit.backlash.expect("it repeats").width_um - sign * 4.4).abs() < 0.3);
     }

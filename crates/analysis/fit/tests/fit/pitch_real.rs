@@ -12,12 +12,12 @@ use trueup_fit::{
 use trueup_machine::{
     RunFile,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, writer::Edit},
+    file::{LinearAxis, writer::MachineFileEdit},
 };
 
 /// Returns the run of this name, `None` (and a line that says so) where the data are not there.
 fn measured(name: &str) -> Option<UncompensatedRun<'static>> {
-    let path = trueup_measured_data::find_file(&format!("ess_iso230/{name}"))?;
+    let path = trueup_measured_data::find_measured_file(&format!("ess_iso230/{name}"))?;
     Some(unaided(RunFile::read(&path).expect("the data are a run file")))
 }
 
@@ -30,7 +30,7 @@ fn tested(run: &UncompensatedRun<'_>, name: &str, ways: TableMode) -> f64 {
     let fit = fit(run, LinearAxis::X, &first_three(ways)).expect("the run can be fitted");
     assert!(fit.report.verdict.is_fitted(), "{name}: {:?}", fit.report.verdict);
     let left = left_by_model(run, &fit.report.edit, &[4.0, 5.0]);
-    let before = left_by_model(run, &Edit::default(), &[4.0, 5.0]);
+    let before = left_by_model(run, &MachineFileEdit::default(), &[4.0, 5.0]);
     let largest = left.iter().fold(0.0_f64, |largest, um| largest.max(um.abs()));
     let um = rms(&left);
     println!(

@@ -8,11 +8,13 @@ use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     bspline::clamped_knots,
     straightness::{
-        FitError, FitMethod, ReferenceLine, StopReason, StraightnessCurve, StraightnessFit,
-        StraightnessFitOptions, fit, fit_run,
+        FitMethod, ReferenceLine, StopReason, StraightnessCurve, StraightnessFit,
+        StraightnessFitError, StraightnessFitOptions, fit, fit_straightness_run,
     },
 };
-use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::BSpline, model::spline_um};
+use trueup_machine::{
+    RunFile, applied_offsets::UncompensatedRun, file::BSpline, model::spline_value_um,
+};
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {
     (0..=(travel_mm / step_mm).round() as u32).map(|n| f64::from(n) * step_mm).collect()
@@ -44,7 +46,7 @@ fn a_cubic_is_reproduced_with_4_coefficients() {
         let found = of(&every(50.0, 1_000.0), cubic, &options);
         assert_eq!((found.spline.order, found.spline.control_um.len()), (4, 4));
         for x in every(1.0, 1_000.0) {
-            assert!((spline_um(&found.spline, x) - cubic(x)).abs() < 1e-11);
+            assert!((spline_value_um(&found.spline, x) - cubic(x)).abs() < 1e-11);
         }
         assert!(found.is_within_tolerance);
     }
@@ -68,7 +70,7 @@ fn a_spline_of_known_knots_is_found_with_its_knots() {
         knots_mm: clamped_knots(4, 0.0, &[210.0, 390.0, 740.0], 1_000.0),
         control_um: vec![0.0, 20.0, -15.0, 30.0, -20.0, 10.0, 0.0],
     };
-    let found = of(&every(5.0, 1_000.0), |x| spline_um(&known, x), &tolerance(0.01));
+    let found = of(&every(5.0, 1_000.0), |x| spline_value_um(&known, x), &tolerance(0.01));
     println!(
         "knots {:?}, largest residual {:.1e} µm",
         found.spline.knots_mm, found.residual.largest_um
@@ -112,7 +114,7 @@ fn a_tolerance_below_the_noise_stops_at_the_noise_and_reports_it() {
         let y: Vec<f64> =
             x.iter().zip(noise(x.len(), NOISE_UM, seed)).map(|(&x, n)| truth(x) + n).collect();
         let found = fit(&x, &y, &tolerance(0.2)).expect("sound data");
-        let off = x.iter().map(|&x| (spline_um(&found.spline, x) - truth(x)).powi(2));
+        let off = x.iter().map(|&x| (spline_value_um(&found.spline, x) - truth(x)).powi(2));
         let rms = (off.sum::<f64>() / x.len() as f64).sqrt();
         let noise = found.noise.expect("enough readings");
         println!(
@@ -166,13 +168,13 @@ fn the_reference_line_is_taken_away_and_given() {
         (ends.line.evaluate(0.0) - 7.0).abs() < 1e-12
             && (ends.line.evaluate(400.0) - 19.0).abs() < 1e-12
     );
-    assert!(spline_um(&ends.spline, 0.0).abs() < 1e-9);
-    assert!((spline_um(&ends.spline, 200.0) - 4.0).abs() < 1e-9);
+    assert!(spline_value_um(&ends.spline, 0.0).abs() < 1e-9);
+    assert!((spline_value_um(&ends.spline, 200.0) - 4.0).abs() < 1e-9);
     let squares = with(ReferenceLine::LeastSquares);
     assert!((squares.line.slope_um_per_mm - 0.03).abs() < 1e-12);
     assert!(squares.line_left.slope_um_per_mm.abs() < 1e-12);
     let measured = with(ReferenceLine::AsMeasured);
-    assert!((spline_um(&measured.spline, 0.0) - 7.0).abs() < 1e-9);
+    assert!((spline_value_um(&measured.spline, 0.0) - 7.0).abs() < 1e-9);
     assert!((measured.line_left.slope_um_per_mm - 0.03).abs() < 1e-12);
 }
 
@@ -191,7 +193,7 @@ fn a_gap_in_the_readings_has_no_wild_curve() {
     let truth = |x: f64| 10.0 * (TAU * x / 1_000.0).sin() + 3.0 * (TAU * x / 150.0).sin();
     let found = of(&x, truth, &tolerance(0.05));
     for at in every(1.0, 1_000.0) {
-        assert!(spline_um(&found.spline, at).abs() < 40.0, "at {at}");
+        assert!(spline_value_um(&found.spline, at).abs() < 40.0, "at {at}");
     }
 }
 
@@ -210,7 +212,7 @@ fn a_million_readings_take_seconds() {
     let found = found.expect("sound data");
     let worst = every(10.0, 14_290.0)
         .into_iter()
-        .map(|x| (spline_um(&found.spline, x) - truth(x)).abs())
+        .map(|x| (spline_value_um(&found.spline, x) - truth(x)).abs())
         .fold(0.0, f64::max);
     println!(
         "a million readings of 1 µm noise: {} coefficients, within {worst:.3} µm of the truth, \
@@ -229,19 +231,19 @@ fn what_is_no_curve_is_refused_by_name() {
     let nan = f64::NAN;
     assert!(matches!(
         fit(&x, &[0.0, 1.0, nan, 0.0], &options),
-        Err(FitError::NotFinite { row: 2, is_position: false, .. })
+        Err(StraightnessFitError::NotFinite { row: 2, is_position: false, .. })
     ));
     assert_eq!(
         fit(&x[..3], &x[..3], &options).unwrap_err(),
-        FitError::TooFewPositions { positions: 3 }
+        StraightnessFitError::TooFewPositions { positions: 3 }
     );
     assert_eq!(
         fit(&[5.0; 9], &[1.0; 9], &options).unwrap_err(),
-        FitError::OnePosition { position_mm: 5.0 }
+        StraightnessFitError::OnePosition { position_mm: 5.0 }
     );
-    assert!(matches!(fit(&x, &x[..3], &options), Err(FitError::LengthsDiffer { .. })));
+    assert!(matches!(fit(&x, &x[..3], &options), Err(StraightnessFitError::LengthsDiffer { .. })));
     for um in [0.0, -1.0, nan] {
-        assert!(matches!(fit(&x, &x, &tolerance(um)), Err(FitError::Tolerance { .. })));
+        assert!(matches!(fit(&x, &x, &tolerance(um)), Err(StraightnessFitError::Tolerance { .. })));
     }
     assert!(fit(&x, &x, &options).is_ok());
 }
@@ -249,7 +251,7 @@ fn what_is_no_curve_is_refused_by_name() {
 fn from_csv(text: &str, quantity: Option<&str>) -> Result<StraightnessCurve, String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own");
     let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
-    fit_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
+    fit_straightness_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
 }
 
 #[test]

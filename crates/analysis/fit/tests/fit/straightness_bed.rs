@@ -3,14 +3,14 @@
 //! `cargo test -p trueup-fit --test fit straightness_bed -- --show-output`.
 
 use trueup_fit::straightness::{StopReason, StraightnessFit, StraightnessFitOptions, fit};
-use trueup_machine::model::spline_um;
+use trueup_machine::model::spline_value_um;
 
 /// Positions in mm; heights in µm of the mean over the rows, and of each row.
 type Mesh = (Vec<f64>, Vec<f64>, Vec<Vec<f64>>);
 
 /// Returns the mesh; `None` where the data are not there.
 fn mesh() -> Option<Mesh> {
-    let path = trueup_measured_data::find_file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
+    let path = trueup_measured_data::find_measured_file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
     let text = std::fs::read_to_string(path).expect("a text file");
     let um = |value: &str| 1e3 * value.trim().parse::<f64>().expect("a height");
     let rows: Vec<Vec<f64>> = text.lines().map(|line| line.split(',').map(um).collect()).collect();
@@ -28,7 +28,8 @@ fn every_second(values: &[f64], from: usize) -> Vec<f64> {
 fn even_and_odd(x: &[f64], y: &[f64], options: &StraightnessFitOptions) -> (StraightnessFit, f64) {
     let fit = fit(&every_second(x, 0), &every_second(y, 0), options).expect("sound data");
     let odd = every_second(x, 1).into_iter().zip(every_second(y, 1));
-    let squares: Vec<f64> = odd.map(|(x, y)| (y - spline_um(&fit.spline, x)).powi(2)).collect();
+    let squares: Vec<f64> =
+        odd.map(|(x, y)| (y - spline_value_um(&fit.spline, x)).powi(2)).collect();
     let rms_um = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
     (fit, rms_um)
 }

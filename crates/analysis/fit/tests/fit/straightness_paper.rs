@@ -6,11 +6,11 @@
 
 use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
-    FitMethod, MethodComparison, StopReason, StraightnessFit, StraightnessFitOptions, fit,
+    FitMethod, MethodPerformance, StopReason, StraightnessFit, StraightnessFitOptions, fit,
 };
-use trueup_machine::model::spline_um;
+use trueup_machine::model::spline_value_um;
 
-fn print(table: &[MethodComparison]) {
+fn print(table: &[MethodPerformance]) {
     println!(
         "  {:<31}{:>6}{:>8}{:>7}{:>8}{:>9}{:>10}{:>12}{:>10}",
         "", "coeff", "range", "mean", "msq", "largest", "left-out", "slope", "curv"
@@ -133,7 +133,7 @@ fn diagonal(set: u64, tolerance_um: impl Fn(usize) -> f64) -> Vec<(&'static str,
                     let share = f64::from(n) / f64::from(places);
                     let left = sides.iter().map(|(way, fit)| {
                         let at = share * way.travel_mm;
-                        way.at(at) - spline_um(&fit.spline, at)
+                        way.at(at) - spline_value_um(&fit.spline, at)
                     });
                     left.sum()
                 })

@@ -8,7 +8,7 @@ use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
     CurveMethod, StraightnessFitOptions,
     method_table::{
-        MethodResult, MethodTable, MethodTableOptions, ResidualError, TableEntry,
+        MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualError,
         build_method_table,
     },
 };
@@ -79,7 +79,7 @@ fn options_with_tolerance(tolerance_um: f64) -> MethodTableOptions<'static> {
     }
 }
 
-fn of(entry: &TableEntry, way: CurveMethod) -> &MethodResult {
+fn of(entry: &MethodTableEntry, way: CurveMethod) -> &MethodResult {
     entry.rows.iter().find(|row| row.way == way).expect("each way is there")
 }
 
@@ -274,7 +274,7 @@ fn a_diagonal_without_its_curves_or_off_its_line_is_refused() {
 #[test]
 fn the_page_draws_the_speeds_and_names_each_way() {
     let (table, _) = table(0, "z", [0, 2]);
-    let html = table.to_html(&trueup_page::Origin::default());
+    let html = table.to_html(&trueup_page::Provenance::default());
     assert_eq!(html.matches("<svg").count(), 3);
     for name in ["z_of_x", "z_of_y", "dz on the diagonal of x and y", "polynomial of degree 7"] {
         assert!(html.contains(name), "{name}");

@@ -4,7 +4,7 @@
 use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
 };
-use trueup_fit::{FitVerdict, Report, warmup};
+use trueup_fit::{FitReport, FitVerdict, warmup};
 use trueup_machine::{
     applied_offsets::UncompensatedRun,
     file::{ElongationSource, Warmup},
@@ -42,7 +42,7 @@ fn recorded(
     run(&[("time_s", &time), ("spindle_rpm", &speed), ("measured_elongation_um", &y)])
 }
 
-fn fit(runs: &[UncompensatedRun<'_>]) -> Report {
+fn fit(runs: &[UncompensatedRun<'_>]) -> FitReport {
     let report = warmup::fit(runs, None).expect("a fit");
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));

@@ -180,13 +180,14 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
         let [start, end] = [&from, &to].map(|at| drawn.error_um(at));
         let truth: f64 = (0..3).map(|n| toward[n] * (end[n] - start[n])).sum();
         let pose = |at: &At| Pose { position_mm: at.mm, angle_deg: at.deg, tool_mm: at.tool_mm };
-        let [um, sd] = report.model.difference_um(&pose(&from), &pose(&to), toward);
+        let [um, sd] = report.model.error_difference_um(&pose(&from), &pose(&to), toward);
         covered[0] += usize::from((um - truth).abs() <= NORMAL_QUANTILE_975 * sd);
         covered[1] += 1;
     }
     let [before_um, after_um] =
         [&errors, &left].map(|errors| volumetric_um(&drawn, &poses, errors));
-    let outcome = Outcome { before_um, after_um, covered, was_better: report.is_improvement() };
+    let outcome =
+        Outcome { before_um, after_um, covered, was_better: report.has_significant_improvement() };
     if std::env::var_os("TRUEUP_VOLUMES_EACH").is_some() {
         println!(
             "{plan:?} {seed}: {outcome:?} gone {:.3} noise {:?} held out {:?}",

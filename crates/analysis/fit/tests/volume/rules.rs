@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_fit::volume::{self, VolumeFitOptions, VolumeReport, identifiability::ErrorAssessment};
-use trueup_machine::{BadInput, Machine, MachineFile, RunFile};
+use trueup_machine::{InputFileError, Machine, MachineFile, RunFile};
 
 use crate::{
     drawn::{At, Drawn},
@@ -73,7 +73,11 @@ fn a_sound_machine_stays_as_it_is_or_gets_less_than_the_noise() {
     let mut machine = Drawn::of_size(0, 0.0);
     let text = plates(&mut machine, 2);
     let report = fit(&text, &file(&machine.file), &STATED);
-    assert!(report.is_improvement() != report.edit.is_empty(), "{:?}", report.held_out);
+    assert!(
+        report.has_significant_improvement() != report.edit.is_empty(),
+        "{:?}",
+        report.held_out
+    );
     for it in report.known.iter().filter(|assessment| assessment.is_known) {
         assert!(it.size.abs() < 3.0 * it.half_width.max(0.5), "{it:?}");
     }
@@ -229,7 +233,7 @@ fn what_cannot_be_fitted_is_refused_with_what_to_do() {
     let at = At { mm: [10.0; 3], deg: [0.0; 3], tool_mm: machine.tools_mm[0] };
     let mut balls = Balls::new(&mut machine);
     balls.probe(&mut machine, &at);
-    let refused = |text: &str, machine: &Machine| -> BadInput {
+    let refused = |text: &str, machine: &Machine| -> InputFileError {
         volume::fit(&[run(text)], machine, &STATED).expect_err("refused")
     };
     let few = refused(&balls.csv(), &file(&machine.file)).to_string();

@@ -17,14 +17,14 @@ const UNREJECTED_OUTLIER_FRACTION: f64 = 0.05 * (0.1 + 0.025);
 /// Levels of a sum.
 const MARKOV_STATES: usize = 30;
 /// The bounds c that are tried, in parts of k, and in standard deviations.
-const CANDIDATE_BOUNDS: [f64; 4] = [1.75, 2.0, 2.5, 3.5];
-const LARGE_CANDIDATE_BOUNDS: [f64; 2] = [2.5, 3.5];
+const CLIPPING_BOUND_RATIOS: [f64; 4] = [1.75, 2.0, 2.5, 3.5];
+const CLIPPING_BOUND_SIGMAS: [f64; 2] = [2.5, 3.5];
 /// Halvings until h is known to a thousandth.
 const BISECTION_STEPS: usize = 18;
 
 /// The uncertainty that the record of the calibration leaves: both in standard deviations of e.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct CalibrationUncertainty {
+pub(super) struct BaselineUncertainty {
     /// b.
     pub mean: f64,
     /// s.
@@ -44,10 +44,10 @@ pub(super) fn design_cusum(
     k: f64,
     first: f64,
     rows: f64,
-    open: CalibrationUncertainty,
+    open: BaselineUncertainty,
 ) -> CusumDesign {
-    let bounds = CANDIDATE_BOUNDS.into_iter().map(|parts| parts * k);
-    let bounds = bounds.chain(LARGE_CANDIDATE_BOUNDS.into_iter().filter(|bound| *bound > 1.5 * k));
+    let bounds = CLIPPING_BOUND_RATIOS.into_iter().map(|parts| parts * k);
+    let bounds = bounds.chain(CLIPPING_BOUND_SIGMAS.into_iter().filter(|bound| *bound > 1.5 * k));
     let plans = bounds.map(|bound| {
         let height = decision_interval(k, bound, 2.0 * rows, open);
         let from = (first.min(bound) - k).max(0.0);
@@ -65,7 +65,7 @@ pub(super) fn design_cusum(
 }
 
 /// Returns h of one sum that runs for this many rows on average. No two readings reach it.
-fn decision_interval(k: f64, bound: f64, rows: f64, open: CalibrationUncertainty) -> f64 {
+fn decision_interval(k: f64, bound: f64, rows: f64, open: BaselineUncertainty) -> f64 {
     let law = ErrorDistribution { mean: open.mean, scatter: open.scatter };
     let (mut low, mut high) = (2.0 * bound, 120.0 * bound);
     for _ in 0..BISECTION_STEPS {
@@ -162,8 +162,7 @@ mod tests {
     #[test]
     fn runs_are_as_long_as_asked_for_and_no_two_readings_reach_the_height() {
         let law = ErrorDistribution { mean: 0.0, scatter: 1.0 };
-        let plan =
-            design_cusum(0.5, 1.0, 1000.0, CalibrationUncertainty { mean: 0.0, scatter: 1.0 });
+        let plan = design_cusum(0.5, 1.0, 1000.0, BaselineUncertainty { mean: 0.0, scatter: 1.0 });
         let found = average_run_length(0.5, plan.bound, plan.height, law, 0.0);
         assert!((found / 2000.0 - 1.0).abs() < 0.05, "{found}");
         assert!(plan.height >= 2.0 * plan.bound);

@@ -8,15 +8,15 @@
 //! ```
 //!
 //! A change of [`TARGET_SHIFT_SIGMAS`]·σ moves e by δ = CHANGE·√((1 − ρ)/(1 + ρ)); k = δ/2 finds it soonest. ψ holds a reading to a bound, and one
-//! beyond `GROSS_ERROR_SIGMAS` standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
-//! and σ are those of the readings within `GROSS_ERROR_SIGMAS`, so bad ones in the record of the calibration do not count either.
+//! beyond `GROSS_ERROR_LIMIT_SIGMAS` standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
+//! and σ are those of the readings within `GROSS_ERROR_LIMIT_SIGMAS`, so bad ones in the record of the calibration do not count either.
 
 mod advice;
 mod cusum;
 
 use serde::Serialize;
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    InputFileError, Machine, RunFile,
     file::{ElongationSource, Quantity},
     predict::Predictor,
 };
@@ -24,7 +24,7 @@ use trueup_numerics::robust::median;
 
 use crate::constants::measured_quantity;
 use advice::ComparisonKind;
-use cusum::{CalibrationUncertainty, CusumDesign};
+use cusum::{BaselineUncertainty, CusumDesign};
 
 /// The change that is to be found, in standard deviations of what is measured less what is predicted.
 pub const TARGET_SHIFT_SIGMAS: f64 = 3.0;
@@ -33,14 +33,14 @@ const MIN_READINGS: usize = 40;
 /// A memory beyond this cannot be distinguished from a drift: 50 rows.
 const MAX_AUTOCORRELATION: f64 = 0.98;
 /// A reading beyond this many standard deviations is bad, or the machine has changed: one good one in 16 000.
-const GROSS_ERROR_SIGMAS: f64 = 4.0;
+const GROSS_ERROR_LIMIT_SIGMAS: f64 = 4.0;
 /// Standard errors of a bound that holds nineteen times of twenty.
 const NORMAL_QUANTILE_95: f64 = 1.645;
 /// Readings are in a row where they are no farther apart than this many steps of the clock.
-const MAX_CONSECUTIVE_GAP: f64 = 1.5;
+const MAX_CONSECUTIVE_GAP_STEPS: f64 = 1.5;
 /// No alarm is falsely raised oftener than once in this many readings, however far apart these are: a machine that is probed twice
 /// a day has few in 1,000 hours.
-const MIN_FALSE_ALARM_READINGS: f64 = 1000.0;
+const MIN_READINGS_PER_FALSE_ALARM: f64 = 1000.0;
 
 /// The noise when the calibration was right.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -76,7 +76,7 @@ pub struct CusumMonitor {
 
 /// An alarm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Alarm {
+pub struct CalibrationAlarm {
     /// The row, from 1, without the header.
     pub row: usize,
     /// The record's clock in s, where it has one.
@@ -89,7 +89,7 @@ pub struct Alarm {
 
 /// The result of a watch over a record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CalibrationReport {
+pub struct CalibrationMonitoringReport {
     /// The noise when the calibration was right.
     pub noise: BaselineNoise,
     /// The rows that were looked at.
@@ -99,7 +99,7 @@ pub struct CalibrationReport {
     /// Rows, from 1, of readings that stand alone and did not count in full.
     pub outliers: Vec<usize>,
     /// The first alarm; `None`: the calibration fits.
-    pub alarm: Option<Alarm>,
+    pub alarm: Option<CalibrationAlarm>,
 }
 
 impl BaselineNoise {
@@ -128,7 +128,8 @@ impl BaselineNoise {
         const TRIMMING_ITERATIONS: usize = 10;
         for _ in 0..TRIMMING_ITERATIONS {
             // Readings that are written in steps may agree in more than half.
-            let within = if sigma_um > 0.0 { GROSS_ERROR_SIGMAS * sigma_um } else { f64::INFINITY };
+            let within =
+                if sigma_um > 0.0 { GROSS_ERROR_LIMIT_SIGMAS * sigma_um } else { f64::INFINITY };
             let sound = there.iter().filter(|um| (*um - mean_um).abs() <= within);
             let sound: Vec<f64> = sound.copied().collect();
             mean_um = sound.iter().sum::<f64>() / sound.len() as f64;
@@ -138,9 +139,9 @@ impl BaselineNoise {
         if sigma_um < 1e-9 {
             return Err("does not scatter at all: is it a simulation?".into());
         }
-        let is_sound = |um: f64| (um - mean_um).abs() <= GROSS_ERROR_SIGMAS * sigma_um;
+        let is_sound = |um: f64| (um - mean_um).abs() <= GROSS_ERROR_LIMIT_SIGMAS * sigma_um;
         let pairs = rows.windows(2).filter(|pair| {
-            pair[1].0 <= MAX_CONSECUTIVE_GAP
+            pair[1].0 <= MAX_CONSECUTIVE_GAP_STEPS
                 && pair.iter().all(|reading| reading.1.is_finite() && is_sound(reading.1))
         });
         let (mut products, mut squares, mut in_a_row) = (0.0, 0.0, 0.0);
@@ -163,9 +164,9 @@ impl CusumMonitor {
     pub fn new(noise: BaselineNoise, false_alarm_h: f64) -> Self {
         let rho = noise.memory;
         let k = TARGET_SHIFT_SIGMAS * ((1.0 - rho) / (1.0 + rho)).sqrt() / 2.0;
-        let rows = (false_alarm_h * 3600.0 / noise.row_s).max(MIN_FALSE_ALARM_READINGS);
+        let rows = (false_alarm_h * 3600.0 / noise.row_s).max(MIN_READINGS_PER_FALSE_ALARM);
         let count = noise.readings as f64;
-        let open = CalibrationUncertainty {
+        let open = BaselineUncertainty {
             mean: NORMAL_QUANTILE_95 / count.sqrt(),
             scatter: 1.0 + NORMAL_QUANTILE_95 / (2.0 * count).sqrt(),
         };
@@ -185,7 +186,7 @@ impl CusumMonitor {
     }
 
     /// The next row; whether it is an alarm. A missing one ends nothing.
-    pub fn step(&mut self, apart_um: f64) -> bool {
+    pub fn update(&mut self, apart_um: f64) -> bool {
         self.update_after_gap(1.0, apart_um).is_some()
     }
 
@@ -206,7 +207,7 @@ impl CusumMonitor {
         let white = (off_um - expected_um) / (sigma_um * (1.0 - left * left).max(1e-6).sqrt());
         let bound = self.plan.bound;
         let before = self.gross[1];
-        let held = if white.abs() > GROSS_ERROR_SIGMAS {
+        let held = if white.abs() > GROSS_ERROR_LIMIT_SIGMAS {
             self.gross = [white.signum(); 2];
             if before == white.signum() { bound * before } else { 0.0 }
         } else {
@@ -233,7 +234,7 @@ pub fn monitor_calibration(
     run: &RunFile,
     quantity: Option<Quantity>,
     false_alarm_h: f64,
-) -> Result<CalibrationReport, BadInput> {
+) -> Result<CalibrationMonitoringReport, InputFileError> {
     let then = prediction_residuals(machine, calibrated, quantity)?;
     let now = prediction_residuals(machine, run, quantity)?;
     let bad = |rule: String| calibrated.value_error(0, &then.column, rule);
@@ -250,7 +251,7 @@ pub fn monitor_calibration(
         if let Some(since) = since {
             let mut there: Vec<f64> =
                 now.apart_um[since..=row].iter().copied().filter(|um| um.is_finite()).collect();
-            alarm = Some(Alarm {
+            alarm = Some(CalibrationAlarm {
                 row: row + 1,
                 time_s: run.column("time_s").map(|times| times[row]),
                 moved_um: median(&mut there) - noise.mean_um,
@@ -262,7 +263,7 @@ pub fn monitor_calibration(
         }
     }
     let rows = now.apart_um.iter().filter(|um| um.is_finite()).count();
-    Ok(CalibrationReport { noise, rows, false_alarm_h, outliers, alarm })
+    Ok(CalibrationMonitoringReport { noise, rows, false_alarm_h, outliers, alarm })
 }
 
 /// Measured less predicted by row.
@@ -280,14 +281,14 @@ fn prediction_residuals(
     machine: &Machine,
     run: &RunFile,
     requested: Option<Quantity>,
-) -> Result<Residuals, BadInput> {
+) -> Result<Residuals, InputFileError> {
     let by = |source: Option<ElongationSource>, quantity: Quantity| {
         let mut machine = machine.clone();
         machine.spindle.source = source;
         let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
         let rows = Predictor::new(&machine, run)?;
         let um: Vec<f64> = rows.model_values().map(|values| values.to_array()[index]).collect();
-        Ok::<_, BadInput>(um)
+        Ok::<_, InputFileError>(um)
     };
     let spindle = &machine.spindle;
     let is_measured = Quantity::ALL

@@ -103,7 +103,7 @@ impl GivensQr {
     /// # Errors
     /// A column follows from those before it, to within 1e-11 of its own length: its coefficient
     /// could be anything.
-    pub fn solve(&self) -> Result<Solution, DependentColumn> {
+    pub fn solve(&self) -> Result<QrSolution, DependentColumn> {
         let n = self.columns;
         if let Some(column) = (0..n).find(|&column| {
             // Not `<=`: a column of NaN is caught as well.
@@ -129,13 +129,13 @@ impl GivensQr {
             }
         }
         let residual_squares = self.residual_squares;
-        Ok(Solution { coefficients, inverse, residual_squares, rows: self.rows })
+        Ok(QrSolution { coefficients, inverse, residual_squares, rows: self.rows })
     }
 }
 
 /// Coefficients and how well they are known.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Solution {
+pub struct QrSolution {
     /// One for each column.
     pub coefficients: Vec<f64>,
     /// R⁻¹, row by row.
@@ -146,7 +146,7 @@ pub struct Solution {
     pub rows: usize,
 }
 
-impl Solution {
+impl QrSolution {
     /// Rows beyond the coefficients.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> usize {

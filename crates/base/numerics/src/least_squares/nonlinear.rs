@@ -13,7 +13,7 @@ use std::{cell::RefCell, rc::Rc};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
 
-use super::givens_qr::{DependentColumn, GivensQr, Solution};
+use super::givens_qr::{DependentColumn, GivensQr, QrSolution};
 
 /// A model of a column of measured values.
 pub trait Model {
@@ -26,8 +26,8 @@ pub trait Model {
 
     /// The derivative of each row's value, one column for each parameter; false as above. Unless
     /// it is given: by central differences.
-    fn derivatives(&self, parameters: &[f64], columns: &mut [Vec<f64>]) -> bool {
-        central_differences(self, parameters, columns)
+    fn evaluate_derivatives(&self, parameters: &[f64], columns: &mut [Vec<f64>]) -> bool {
+        evaluate_central_differences(self, parameters, columns)
     }
 
     /// Returns the size of a change that matters in a parameter that is 0: for the step of the differences.
@@ -38,7 +38,7 @@ pub trait Model {
 
 /// (f(p + h) − f(p − h))/2h in each parameter, h the cube root of the machine's precision, relative:
 /// there truncation and rounding are both about 1e-10.
-pub(crate) fn central_differences<M: Model + ?Sized>(
+pub(crate) fn evaluate_central_differences<M: Model + ?Sized>(
     model: &M,
     parameters: &[f64],
     columns: &mut [Vec<f64>],
@@ -120,7 +120,7 @@ pub struct NonlinearFit {
     ///
     /// # Errors
     /// The rows do not decide the parameter: it could be anything.
-    pub linear: Result<Solution, DependentColumn>,
+    pub linear: Result<QrSolution, DependentColumn>,
     /// The sum of the squares of the residuals.
     pub residual_squares: f64,
 }
@@ -235,7 +235,8 @@ impl<'a, M: Model + ?Sized> SolverProblem<'a, M> {
     fn jacobian_qr(&self, parameters: &[f64]) -> Option<GivensQr> {
         let mut space = self.space.borrow_mut();
         let (values, columns) = &mut *space;
-        if !self.model.evaluate(parameters, values) || !self.model.derivatives(parameters, columns)
+        if !self.model.evaluate(parameters, values)
+            || !self.model.evaluate_derivatives(parameters, columns)
         {
             return None;
         }
@@ -375,7 +376,7 @@ mod tests {
     fn central_differences_are_good_to_nine_digits() {
         let (model, y) = decay();
         let mut columns = vec![vec![0.0; y.len()]; 2];
-        assert!(central_differences(&model, &[7.0, 12.5], &mut columns));
+        assert!(evaluate_central_differences(&model, &[7.0, 12.5], &mut columns));
         for (row, x) in model.0.iter().enumerate() {
             let e = (-x / 12.5).exp();
             assert!((columns[0][row] - e).abs() < 1e-9);

@@ -5,7 +5,7 @@
 //! whole is then solved by [`fit`], q and c together, which also gives the intervals.
 
 use super::{
-    givens_qr::{GivensQr, Solution},
+    givens_qr::{GivensQr, QrSolution},
     nonlinear::{Model, NonlinearFit, SolveError, SolverOptions, fit},
 };
 
@@ -34,7 +34,7 @@ pub(crate) fn solve_linear_parameters(
     q: &[f64],
     measured: &[f64],
     columns: &mut [Vec<f64>],
-) -> Option<Solution> {
+) -> Option<QrSolution> {
     if !model.basis(q, columns) {
         return None;
     }
@@ -102,11 +102,11 @@ impl<S: SeparableModel + ?Sized> Model for JointModel<'_, S> {
     fn evaluate(&self, parameters: &[f64], values: &mut [f64]) -> bool {
         let (q, c) = parameters.split_at(self.0.nonlinear_count());
         let mut columns = vec![vec![0.0; values.len()]; c.len()];
-        self.linear_combination(q, c, &mut columns, values)
+        self.evaluate_linear_combination(q, c, &mut columns, values)
     }
 
     /// In c the derivatives are the columns themselves; in q by central differences.
-    fn derivatives(&self, parameters: &[f64], columns: &mut [Vec<f64>]) -> bool {
+    fn evaluate_derivatives(&self, parameters: &[f64], columns: &mut [Vec<f64>]) -> bool {
         let (q, c) = parameters.split_at(self.0.nonlinear_count());
         let (in_q, in_c) = columns.split_at_mut(q.len());
         let relative = f64::EPSILON.cbrt();
@@ -117,11 +117,11 @@ impl<S: SeparableModel + ?Sized> Model for JointModel<'_, S> {
                 if q[index] == 0.0 { self.0.typical_magnitude(index) } else { q[index].abs() };
             let (low, high) = (q[index] - relative * size, q[index] + relative * size);
             moved[index] = low;
-            if !self.linear_combination(&moved, c, in_c, &mut below) {
+            if !self.evaluate_linear_combination(&moved, c, in_c, &mut below) {
                 return false;
             }
             moved[index] = high;
-            if !self.linear_combination(&moved, c, in_c, column) {
+            if !self.evaluate_linear_combination(&moved, c, in_c, column) {
                 return false;
             }
             moved[index] = q[index];
@@ -139,7 +139,7 @@ impl<S: SeparableModel + ?Sized> Model for JointModel<'_, S> {
 
 impl<S: SeparableModel + ?Sized> JointModel<'_, S> {
     /// The values c₁·f₁(q) + …; `columns` is space for f.
-    fn linear_combination(
+    fn evaluate_linear_combination(
         &self,
         q: &[f64],
         c: &[f64],

@@ -20,7 +20,7 @@ use crate::robust::{MIN_CUTOFF_SCALES, median, outlier_cutoff};
 /// Two repeats do not say which of them is wrong.
 const MIN_REPEATS: usize = 3;
 /// The median magnitude of the difference of two readings of standard deviation 1: 0.6745·√2.
-const MEDIAN_PAIR_DIFFERENCE: f64 = 0.953_872_6;
+const MEDIAN_PAIR_DIFFERENCE_PER_STD: f64 = 0.953_872_6;
 /// Readings in whole steps of an instrument scatter by at least this share of a step, wherever the
 /// true value lies: 1/√12 is that of an even distribution over the step, twice it is safe.
 const MIN_STD_PER_RESOLUTION: f64 = 0.6;
@@ -79,7 +79,8 @@ fn repeatability_scale(readings: &[RepeatReading], groups: &[Vec<usize>]) -> Opt
         }
     }
     let step = pairs.iter().copied().filter(|pair| *pair > 1e-9).fold(f64::INFINITY, f64::min);
-    let scale = (median(&mut pairs) / MEDIAN_PAIR_DIFFERENCE).max(MIN_STD_PER_RESOLUTION * step);
+    let scale =
+        (median(&mut pairs) / MEDIAN_PAIR_DIFFERENCE_PER_STD).max(MIN_STD_PER_RESOLUTION * step);
     (scale.is_finite() && scale > 0.0).then_some(scale)
 }
 

@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
     reading::RepeatReading,
-    table::{Table, TableLaw},
+    table::{TableFit, TableLaw},
     table_selection::SIGNIFICANCE_LEVEL,
 };
 
@@ -18,7 +18,7 @@ pub const MIN_R_SQUARED: f64 = 0.9;
 /// Misses of neighbours share places. Of this many the sum of squares scatters like that of this share of
 /// independent ones (Satterthwaite; even steps: covariances of 1.5, −1 and 0.25 give 1.5²/(1.5² + 2·1² +
 /// 2·0.25²)).
-const SATTERTHWAITE_RATIO: f64 = 18.0 / 35.0;
+const SATTERTHWAITE_DOF_FRACTION: f64 = 18.0 / 35.0;
 
 /// The result of leaving out places.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,14 +42,16 @@ impl InterpolationCheck {
 
     /// Returns whether there are enough inner places to judge by.
     #[must_use]
-    pub fn has_enough_places(&self) -> bool {
+    pub fn has_enough_interior_positions(&self) -> bool {
         self.inner >= MIN_INTERIOR_POSITIONS
     }
 
     /// Returns whether use between the places is doubted: the line could have predicted them, and did not.
     #[must_use]
     pub fn is_interpolation_doubtful(&self) -> bool {
-        self.has_enough_places() && self.is_beyond_scatter && self.r_squared() < MIN_R_SQUARED
+        self.has_enough_interior_positions()
+            && self.is_beyond_scatter
+            && self.r_squared() < MIN_R_SQUARED
     }
 }
 
@@ -66,7 +68,7 @@ pub fn check_interpolation(
         all.filter(|(reading, aside)| !**aside && reading.value.is_finite())
             .map(|(reading, _)| reading)
     };
-    let table = Table::fit(law, at.len(), used());
+    let table = TableFit::fit(law, at.len(), used());
     let mut counts = [vec![0.0; at.len()], vec![0.0; at.len()]];
     let mut squares = 0.0;
     for it in used() {
@@ -106,7 +108,7 @@ pub fn check_interpolation(
     if count < 1.0 {
         return None;
     }
-    let chance = FisherSnedecor::new(SATTERTHWAITE_RATIO * count, freedom)
+    let chance = FisherSnedecor::new(SATTERTHWAITE_DOF_FRACTION * count, freedom)
         .map_or(1.0, |distribution| distribution.sf(line / by_scatter));
     Some(InterpolationCheck {
         inner: inner.iter().filter(|inner| **inner).count(),

@@ -37,7 +37,7 @@ pub fn cycle_numbers(stops: &[(usize, usize)]) -> Vec<usize> {
 ///
 /// Source: ISO 230-2 lets a target differ from an even grid by up to 30 % of the step; a position that is
 /// meant to be the same is nearer by far, and a tenth lies between.
-pub const SAME_PLACE_TOLERANCE: f64 = 0.1;
+pub const POSITION_TOLERANCE_PER_STEP: f64 = 0.1;
 
 /// Returns the places that `positions` are meant to be, rising, and the place of each position. `step` is the
 /// smallest that was meant, in the same unit; 0: only equal positions are one place.
@@ -51,7 +51,9 @@ pub fn group_positions(positions: &[f64], step: f64) -> (Vec<f64>, Vec<usize>) {
     for row in order {
         let position = positions[row];
         match groups.last_mut() {
-            Some((first, sum, count)) if position - *first <= SAME_PLACE_TOLERANCE * step => {
+            Some((first, sum, count))
+                if position - *first <= POSITION_TOLERANCE_PER_STEP * step =>
+            {
                 *sum += position - *first;
                 *count += 1.0;
             }

@@ -15,7 +15,7 @@ pub enum TableLaw {
 
 /// A law with its values, NaN where none of the readings that it was fitted to was there.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Table {
+pub struct TableFit {
     /// The law.
     pub law: TableLaw,
     /// By place, for each side; without the step.
@@ -26,7 +26,7 @@ pub struct Table {
     pub constants: usize,
 }
 
-impl Table {
+impl TableFit {
     /// `law` by least squares over `places` places.
     #[must_use]
     pub fn fit<'r>(
@@ -48,7 +48,7 @@ impl Table {
             };
             return Self { law, values: [mean(0), mean(1)], step: 0.0, constants };
         }
-        let step = if law == TableLaw::TableAndStep { fit_step(&sum, &count) } else { None };
+        let step = if law == TableLaw::TableAndStep { fit_side_step(&sum, &count) } else { None };
         let width = step.unwrap_or(0.0);
         let both: Vec<f64> = (0..places).map(|place| count[0][place] + count[1][place]).collect();
         let values: Vec<f64> = (0..places)
@@ -67,7 +67,7 @@ impl Table {
 
 /// Returns the step by least squares next to a value for each place: the places' own differences, each with the
 /// weight n₀·n₁/(n₀ + n₁). None where no place has both sides.
-fn fit_step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
+fn fit_side_step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
     let (mut total, mut weights) = (0.0, 0.0);
     for place in 0..sum[0].len() {
         let [n0, n1] = [count[0][place], count[1][place]];

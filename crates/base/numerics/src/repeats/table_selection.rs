@@ -20,7 +20,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
     reading::RepeatReading,
-    table::{Table, TableLaw},
+    table::{TableFit, TableLaw},
 };
 
 /// A law that chance alone would make look as good more often than this is none. Source: the usual level
@@ -67,7 +67,7 @@ impl LawTest {
 
     /// Returns whether every held-out block gains.
     #[must_use]
-    pub fn has_gain(&self) -> bool {
+    pub fn has_gain_in_every_block(&self) -> bool {
         self.is_below_nothing
             && self.before.iter().zip(&self.after).all(|(before, after)| after < before)
     }
@@ -154,7 +154,7 @@ pub fn select_table(
     if by_side && decision.taken == Ok(TableLaw::Table) && laws.contains(&TableLaw::TableAndStep) {
         let [table, step] = [TableLaw::Table, TableLaw::TableAndStep]
             .map(|law| residual_sum_of_squares(law, &used, places));
-        if is_significant_step(table, step) {
+        if is_step_significant(table, step) {
             decision.taken = Ok(TableLaw::TableAndStep);
         }
     }
@@ -167,7 +167,7 @@ fn residual_sum_of_squares(
     used: &[(usize, RepeatReading)],
     places: usize,
 ) -> (f64, f64) {
-    let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
+    let table = TableFit::fit(law, places, used.iter().map(|(_, reading)| reading));
     let left = used
         .iter()
         .map(|(_, reading)| (reading.value - table.value_at(reading.place, reading.side)).powi(2))
@@ -176,7 +176,7 @@ fn residual_sum_of_squares(
 }
 
 /// Returns whether a step takes away more than chance would: F of one value more.
-fn is_significant_step(table: (f64, f64), step: (f64, f64)) -> bool {
+fn is_step_significant(table: (f64, f64), step: (f64, f64)) -> bool {
     let (more, freedom) = (table.0 - step.0, step.1);
     if freedom < 1.0 || more <= ROUNDING_TOLERANCE * table.0 {
         return false;
@@ -207,7 +207,7 @@ fn assign_blocks(used: &[(usize, RepeatReading)]) -> (Vec<usize>, usize, bool) {
 /// Returns the pooled standard deviation of repeats: at one place from one side, else at one place.
 fn pooled_std(used: &[(usize, RepeatReading)], places: usize) -> Option<f64> {
     [TableLaw::EachSide, TableLaw::Table].into_iter().find_map(|law| {
-        let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
+        let table = TableFit::fit(law, places, used.iter().map(|(_, reading)| reading));
         let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)?;
         let squares: f64 = used
             .iter()
@@ -228,7 +228,7 @@ fn test_law(
     blocks: usize,
     rows: usize,
 ) -> Option<LawTest> {
-    let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
+    let table = TableFit::fit(law, places, used.iter().map(|(_, reading)| reading));
     let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)? as f64;
     let more = table.constants.checked_sub(1).filter(|more| *more > 0)? as f64;
     let mean = mean(used.iter().map(|(_, reading)| reading.value));
@@ -252,7 +252,7 @@ fn test_law(
     for block in 0..blocks {
         let is_in = |n: &usize| block_of[*n] == block;
         let retained = || (0..used.len()).filter(|n| !is_in(n)).map(|n| &used[n].1);
-        let table = Table::fit(law, places, retained());
+        let table = TableFit::fit(law, places, retained());
         let mean = self::mean(retained().map(|reading| reading.value));
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for (row, it) in (0..used.len()).filter(is_in).map(|n| &used[n]) {
@@ -283,7 +283,8 @@ fn test_law(
 
 /// Returns the law to take.
 fn select_law(trials: &[LawTest]) -> Result<TableLaw, TableRejection> {
-    let admitted = || trials.iter().filter(|trial| trial.is_significant() && trial.has_gain());
+    let admitted =
+        || trials.iter().filter(|trial| trial.is_significant() && trial.has_gain_in_every_block());
     let best = admitted().min_by(|a, b| a.rms().total_cmp(&b.rms()));
     let Some(best) = best else {
         let is_any = trials.iter().any(LawTest::is_significant);

@@ -197,7 +197,7 @@ fn five_places_do_not_show_what_is_between_them() {
     let readings = cycles_of(5, 3, |place, _, _| [9.0, -7.0, 8.0, -9.0, 7.0][place]);
     let found = check_interpolation(&at, &readings, &[false; 30], TableLaw::Table)
         .expect("it has inner places");
-    assert!(!found.has_enough_places() && !found.is_interpolation_doubtful());
+    assert!(!found.has_enough_interior_positions() && !found.is_interpolation_doubtful());
     assert_eq!(found.inner, 3);
 }
 

@@ -16,7 +16,7 @@ const BIWEIGHT_TUNING_CONSTANT: f64 = 4.685;
 /// Rows where a value is NaN take no part. Nothing is found in fewer
 /// than [`MIN_ROWS_PER_COLUMN`] rows for each column.
 #[must_use]
-pub fn regression_outliers(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
+pub fn find_regression_outliers(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
     let columns = x.len();
     let present = |row: &usize| !y[*row].is_nan() && x.iter().all(|column| !column[*row].is_nan());
     let rows: Vec<usize> = (0..y.len()).filter(present).collect();

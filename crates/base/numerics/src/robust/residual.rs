@@ -17,7 +17,7 @@ pub const MAX_OUTLIER_FRACTION: f64 = 0.08;
 /// Returns whether each row is a gross error. `series` says which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
 #[must_use]
-pub fn residual_outliers(
+pub fn flag_residual_outliers(
     residual: &[f64],
     series: &[impl PartialEq],
     resolution: f64,

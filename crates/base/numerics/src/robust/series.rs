@@ -16,7 +16,7 @@ pub const MIN_SERIES_ROWS: usize = 2 * NEIGHBOURS_PER_SIDE + 1;
 /// Rows of a time series that leave it and come back. `time` does not run back; rows where either
 /// is NaN take no part. Nothing is found in fewer than [`MIN_SERIES_ROWS`] rows.
 #[must_use]
-pub fn series_outliers(time: &[f64], y: &[f64]) -> Vec<Outlier> {
+pub fn find_series_outliers(time: &[f64], y: &[f64]) -> Vec<Outlier> {
     let present = |row: &usize| !time[*row].is_nan() && !y[*row].is_nan();
     let rows: Vec<usize> = (0..y.len().min(time.len())).filter(present).collect();
     if rows.len() < MIN_SERIES_ROWS {

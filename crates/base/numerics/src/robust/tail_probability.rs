@@ -22,7 +22,7 @@ use super::residual::MAX_OUTLIER_FRACTION;
 /// The farthest readings, which form the tail: as many as make its scale known to 1/√20, a fifth.
 const MAX_TAIL_READINGS: usize = 20;
 /// Of few readings one in this many: what is nearer is no tail.
-const TAIL_DIVISOR: usize = 4;
+const MIN_READINGS_PER_TAIL_READING: usize = 4;
 
 /// Returns the chance that noise like `rest` has readings as far away as `far`: magnitudes, `step` apart at least
 /// where they are written. 1 where there is no rest to compare with.
@@ -30,7 +30,7 @@ const TAIL_DIVISOR: usize = 4;
 pub fn noise_tail_probability(rest: &[f64], far: &[f64], step: f64) -> f64 {
     let mut rest = rest.to_vec();
     rest.sort_unstable_by(|a, b| b.total_cmp(a));
-    let most = rest.len() / TAIL_DIVISOR;
+    let most = rest.len() / MIN_READINGS_PER_TAIL_READING;
     let gross = (MAX_OUTLIER_FRACTION * (rest.len() + far.len()) as f64) as usize;
     // One that is alone may be the end of any tail.
     let censored = if far.len() > 1 { gross.saturating_sub(far.len()) } else { 0 };

@@ -38,7 +38,7 @@ fn gross_errors_of_a_warm_up_are_found_alone_and_in_bursts_and_nothing_else() {
         y[row] += if index % 2 == 0 { 40.0 } else { -25.0 };
     }
     y[50] = f64::NAN;
-    assert_eq!(rows_of(&series_outliers(&time, &y)), wrong);
+    assert_eq!(rows_of(&find_series_outliers(&time, &y)), wrong);
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn a_step_that_stays_is_no_gross_error() {
     let time: Vec<f64> = (0..200).map(f64::from).collect();
     let step = |row: usize| if row >= 77 { 30.0 } else { 0.0 };
     let y: Vec<f64> = (0..200).map(|row| step(row) + 0.3 * noise(&mut random)).collect();
-    assert_eq!(series_outliers(&time, &y), []);
+    assert_eq!(find_series_outliers(&time, &y), []);
 }
 
 #[test]
@@ -57,16 +57,16 @@ fn the_quick_start_of_a_cold_machine_is_no_gross_error() {
         .collect();
     let growth = |t: &f64| 90.0 * (1.0 - (-t / 35.0).exp()) - 0.01 * t;
     let y: Vec<f64> = time.iter().map(growth).collect();
-    assert_eq!(series_outliers(&time, &y), []);
+    assert_eq!(find_series_outliers(&time, &y), []);
 }
 
 #[test]
 fn values_in_coarse_steps_are_not_taken_for_exact_ones() {
     let time: Vec<f64> = (0..200).map(f64::from).collect();
     let y: Vec<f64> = (0..200).map(|row| (warmup(row) / 2.5).round() * 2.5).collect();
-    assert_eq!(series_outliers(&time, &y), []);
+    assert_eq!(find_series_outliers(&time, &y), []);
     let level = vec![7.5; 200];
-    assert_eq!(series_outliers(&time, &level), []);
+    assert_eq!(find_series_outliers(&time, &level), []);
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn a_relation_is_found_though_a_third_of_the_rows_is_wrong() {
     let mut y: Vec<f64> = x.iter().map(|x| 0.02 * x - 4.0 + 0.4 * noise(&mut random)).collect();
     let wrong: Vec<usize> = (0..90).filter(|row| row % 3 == 0).collect();
     wrong.iter().for_each(|&row| y[row] += 15.0 + row as f64);
-    assert_eq!(rows_of(&regression_outliers(&[&ones, &x], &y)), wrong);
+    assert_eq!(rows_of(&find_regression_outliers(&[&ones, &x], &y)), wrong);
 }
 
 /// The rate is measured, printed, and bounded.
@@ -92,11 +92,11 @@ fn clean_data_seldom_loses_a_row() {
             let (mut series, mut relation, mut lost) = (0, 0, 0);
             for _ in 0..trials {
                 let y: Vec<f64> = (0..rows).map(|row| warmup(row) + sample(&mut random)).collect();
-                let found = series_outliers(&time, &y);
+                let found = find_series_outliers(&time, &y);
                 series += usize::from(!found.is_empty());
                 lost += found.len();
                 let y: Vec<f64> = time.iter().map(|x| 3.0 * x + sample(&mut random)).collect();
-                let found = regression_outliers(&[&ones, &time], &y);
+                let found = find_regression_outliers(&[&ones, &time], &y);
                 relation += usize::from(!found.is_empty());
                 lost += found.len();
             }

@@ -16,7 +16,7 @@ pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
         // vmov of two registers of the core
         12 if all >> 21 & 0b111 == 0b010 => {
             let one = Instruction { cycles: 3, ..one };
-            if all >> 20 & 1 != 0 { one.with_writes([to, base]) } else { one }
+            if all >> 20 & 1 != 0 { one.with_written_registers([to, base]) } else { one }
         }
         12 | 13 => decode_load_store(one, all, base),
         14 if all >> 4 & 1 == 0 => Instruction { cycles: 1 + arithmetic_cycles(all), ..one },
@@ -25,7 +25,7 @@ pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
             let one = Instruction { cycles: 2, ..one };
             match (all >> 20 & 1 != 0, to) {
                 (true, 15) => Instruction { flags: FlagEffect::Other, ..one },
-                (true, _) => one.with_writes([to]),
+                (true, _) => one.with_written_registers([to]),
                 _ => one,
             }
         }
@@ -63,7 +63,8 @@ fn decode_load_store(one: Instruction, all: u32, base: Register) -> Instruction 
     let one = if is_load { one.with_load(words, address) } else { one.with_store(words, address) };
     if writes_back {
         let amount = if is_up { 4 * number } else { (4 * number).wrapping_neg() };
-        one.with_writes([base]).with_effect(RegisterEffect::Add(base, base, amount))
+        one.with_written_registers([base])
+            .with_register_effect(RegisterEffect::Add(base, base, amount))
     } else {
         one
     }

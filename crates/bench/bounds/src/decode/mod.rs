@@ -131,7 +131,7 @@ pub enum AddressingMode {
 
 /// A change of the mask of interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum InterruptMask {
+pub enum InterruptMaskChange {
     /// `cpsid i`.
     Off,
     /// `cpsie i`, or a write of PRIMASK.
@@ -164,7 +164,7 @@ pub struct Instruction {
     /// Its access to memory.
     pub access: Option<MemoryAccess>,
     /// Its change of the mask of interrupts.
-    pub mask: Option<InterruptMask>,
+    pub mask: Option<InterruptMaskChange>,
     /// The state of an IT block that begins behind it.
     pub it: u8,
 }
@@ -194,14 +194,14 @@ impl Instruction {
         self
     }
 
-    fn with_writes(mut self, registers: impl IntoIterator<Item = Register>) -> Self {
+    fn with_written_registers(mut self, registers: impl IntoIterator<Item = Register>) -> Self {
         for register in registers {
             self.writes |= 1 << register;
         }
         self
     }
 
-    fn with_effect(mut self, effect: RegisterEffect) -> Self {
+    fn with_register_effect(mut self, effect: RegisterEffect) -> Self {
         self.effect = effect;
         self
     }
@@ -209,9 +209,9 @@ impl Instruction {
 
 /// The state of an IT block (A7.3.3).
 #[derive(Clone, Copy, Default)]
-struct ItBlock(u8);
+struct ItState(u8);
 
-impl ItBlock {
+impl ItState {
     fn condition(self) -> Option<u8> {
         (self.0 & 0xF != 0).then_some(self.0 >> 4)
     }
@@ -226,7 +226,7 @@ impl ItBlock {
 pub fn decode(code: &[u8], start: u32) -> Vec<Instruction> {
     let halves: Vec<u32> =
         code.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]]).into()).collect();
-    let (mut all, mut number, mut block) = (Vec::new(), 0, ItBlock::default());
+    let (mut all, mut number, mut block) = (Vec::new(), 0, ItState::default());
     while let Some(&first) = halves.get(number) {
         let at = start + 2 * number as u32;
         let is_wide = first >> 11 >= 0b11101;
@@ -244,7 +244,7 @@ pub fn decode(code: &[u8], start: u32) -> Vec<Instruction> {
         } else {
             thumb16::decode(plain, first)
         };
-        block = if one.it != 0 { ItBlock(one.it) } else { block.advance() };
+        block = if one.it != 0 { ItState(one.it) } else { block.advance() };
         number += one.size as usize / 2;
         all.push(one);
     }
@@ -258,6 +258,6 @@ fn sign_extend(value: u32, bits: u32) -> u32 {
 }
 
 /// Returns the registers of a list of 16 bits.
-fn register_list(list: u32) -> impl Iterator<Item = Register> {
+fn registers_in_list(list: u32) -> impl Iterator<Item = Register> {
     (0..16).filter(move |bit| list >> bit & 1 != 0)
 }

@@ -1,8 +1,8 @@
 //! Instructions of 32 bits (A5.3).
 
 use super::{
-    AddressingMode, ControlFlow, FlagEffect, Instruction, InterruptMask, Operand, PC, Register,
-    RegisterEffect, SP, coprocessor, register_list, sign_extend, thumb16,
+    AddressingMode, ControlFlow, FlagEffect, Instruction, InterruptMaskChange, Operand, PC,
+    Register, RegisterEffect, SP, coprocessor, registers_in_list, sign_extend, thumb16,
 };
 
 /// Fills in what the two half-words say.
@@ -21,24 +21,24 @@ pub(super) fn decode(one: Instruction, first: u32, second: u32) -> Instruction {
     }
 }
 
-fn register_field(half: u32, from: u32) -> Register {
+fn extract_register(half: u32, from: u32) -> Register {
     (half >> from & 15) as u8
 }
 
 /// `ldm`, `stm`, `push`, `pop`.
 fn decode_load_store_multiple(one: Instruction, first: u32, second: u32) -> Instruction {
-    let (base, count) = (register_field(first, 0), second.count_ones());
+    let (base, count) = (extract_register(first, 0), second.count_ones());
     let writes_back = first >> 5 & 1 != 0;
     let is_load = first >> 4 & 1 != 0;
     let amount = if first >> 7 & 3 == 1 { 4 * count } else { (4 * count).wrapping_neg() };
     let one = if is_load {
         one.with_load(count, AddressingMode::Near(base, 0))
-            .with_writes(register_list(second & 0x7FFF))
+            .with_written_registers(registers_in_list(second & 0x7FFF))
     } else {
         one.with_store(count, AddressingMode::Near(base, 0))
     };
     let one = if writes_back {
-        thumb16::adjust_stack_pointer(one.with_writes([base]), base, amount)
+        thumb16::adjust_stack_pointer(one.with_written_registers([base]), base, amount)
     } else {
         one
     };
@@ -52,7 +52,7 @@ fn decode_load_store_multiple(one: Instruction, first: u32, second: u32) -> Inst
 /// `ldrd`, `strd`, exclusive ones, jumps by table.
 fn decode_load_store_dual(one: Instruction, first: u32, second: u32) -> Instruction {
     let (base, to, other) =
-        (register_field(first, 0), register_field(second, 12), register_field(second, 8));
+        (extract_register(first, 0), extract_register(second, 12), extract_register(second, 8));
     let is_load = first >> 4 & 1 != 0;
     let offset = 4 * (second & 0xFF);
     let (indexed, writes_back) = (first >> 8 & 1 != 0, first >> 5 & 1 != 0);
@@ -63,23 +63,27 @@ fn decode_load_store_dual(one: Instruction, first: u32, second: u32) -> Instruct
             return Instruction { flow: ControlFlow::Table { size }, cycles: 2, ..one };
         }
         return if is_load {
-            one.with_load(1, AddressingMode::Near(base, 0)).with_writes([to])
+            one.with_load(1, AddressingMode::Near(base, 0)).with_written_registers([to])
         } else {
-            let status = if first >> 7 & 1 != 0 { register_field(second, 0) } else { other };
-            one.with_store(1, AddressingMode::Near(base, 0)).with_writes([status])
+            let status = if first >> 7 & 1 != 0 { extract_register(second, 0) } else { other };
+            one.with_store(1, AddressingMode::Near(base, 0)).with_written_registers([status])
         };
     }
     let signed_offset = if first >> 7 & 1 != 0 { offset } else { offset.wrapping_neg() };
     let address = AddressingMode::Near(base, if indexed { signed_offset } else { 0 });
     let one = if base == PC {
-        one.with_load(2, AddressingMode::Literal).with_writes([to, other])
+        one.with_load(2, AddressingMode::Literal).with_written_registers([to, other])
     } else if is_load {
-        one.with_load(2, address).with_writes([to, other])
+        one.with_load(2, address).with_written_registers([to, other])
     } else {
         one.with_store(2, address)
     };
     if writes_back {
-        one.with_writes([base]).with_effect(RegisterEffect::Add(base, base, signed_offset))
+        one.with_written_registers([base]).with_register_effect(RegisterEffect::Add(
+            base,
+            base,
+            signed_offset,
+        ))
     } else {
         one
     }
@@ -88,7 +92,7 @@ fn decode_load_store_dual(one: Instruction, first: u32, second: u32) -> Instruct
 /// Arithmetic with a second register that may be shifted.
 fn decode_shifted_register(one: Instruction, first: u32, second: u32) -> Instruction {
     let (from, to, other) =
-        (register_field(first, 0), register_field(second, 8), register_field(second, 0));
+        (extract_register(first, 0), extract_register(second, 8), extract_register(second, 0));
     let amount = (second >> 12 & 7) << 2 | second >> 6 & 3;
     let kind = second >> 4 & 3;
     let is_plain = amount == 0 && kind == 0;
@@ -131,7 +135,11 @@ fn with_result(
     flags: FlagEffect,
 ) -> Instruction {
     let one = Instruction { flags: if sets { flags } else { FlagEffect::Keep }, ..one };
-    if to == PC && sets { one } else { one.with_writes([to]).with_effect(effect) }
+    if to == PC && sets {
+        one
+    } else {
+        one.with_written_registers([to]).with_register_effect(effect)
+    }
 }
 
 /// ThumbExpandImm (A5.3.2).
@@ -149,7 +157,7 @@ fn thumb_expand_imm(bits: u32) -> u32 {
 /// Arithmetic with a number.
 fn decode_modified_immediate(one: Instruction, first: u32, second: u32) -> Instruction {
     let bits = (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF;
-    let (from, to) = (register_field(first, 0), register_field(second, 8));
+    let (from, to) = (extract_register(first, 0), extract_register(second, 8));
     if first >> 9 & 1 != 0 {
         return decode_plain_binary_immediate(one, first, second, bits);
     }
@@ -177,7 +185,7 @@ fn decode_plain_binary_immediate(
     second: u32,
     bits: u32,
 ) -> Instruction {
-    let (from, to) = (register_field(first, 0), register_field(second, 8));
+    let (from, to) = (extract_register(first, 0), extract_register(second, 8));
     let half = (first & 15) << 12 | bits;
     let effect = match first >> 4 & 31 {
         0 if from == PC => RegisterEffect::Set(to, ((one.at + 4) & !3) + bits),
@@ -188,7 +196,7 @@ fn decode_plain_binary_immediate(
         12 => RegisterEffect::High(to, half),
         _ => RegisterEffect::Other,
     };
-    one.with_writes([to]).with_effect(effect)
+    one.with_written_registers([to]).with_register_effect(effect)
 }
 
 /// Branches and control (A5.3.4).
@@ -220,16 +228,16 @@ fn decode_system(one: Instruction, first: u32, second: u32) -> Instruction {
         // msr
         0x38 | 0x39 => {
             let mask = match second & 0xFF {
-                16 => Some(InterruptMask::On),
-                17 => Some(InterruptMask::Restore),
-                18 => Some(InterruptMask::Raise(register_field(first, 0))),
+                16 => Some(InterruptMaskChange::On),
+                17 => Some(InterruptMaskChange::Restore),
+                18 => Some(InterruptMaskChange::Raise(extract_register(first, 0))),
                 _ => None,
             };
             let flags = if second & 0xFF < 4 { FlagEffect::Other } else { FlagEffect::Keep };
             Instruction { mask, flags, ..one }
         }
         // mrs
-        0x3E | 0x3F => one.with_writes([register_field(second, 8)]),
+        0x3E | 0x3F => one.with_written_registers([extract_register(second, 8)]),
         // dsb, dmb, isb: at most the store that is on its way, to the slower bus.
         0x3B => Instruction { cycles: 16, ..one },
         0x7F => Instruction { flow: ControlFlow::Stop, ..one },
@@ -239,7 +247,7 @@ fn decode_system(one: Instruction, first: u32, second: u32) -> Instruction {
 
 /// A load or store of one register (A5.3.7 to A5.3.10).
 fn decode_load_store_single(one: Instruction, first: u32, second: u32) -> Instruction {
-    let (base, to) = (register_field(first, 0), register_field(second, 12));
+    let (base, to) = (extract_register(first, 0), extract_register(second, 12));
     let is_load = first >> 4 & 1 != 0;
     if base == PC && is_load {
         let offset = second & 0xFFF;
@@ -249,16 +257,17 @@ fn decode_load_store_single(one: Instruction, first: u32, second: u32) -> Instru
         return if to == PC {
             Instruction { flow: ControlFlow::JumpRegister(PC), ..one }
         } else if first >> 5 & 3 == 2 {
-            one.with_writes([to]).with_effect(RegisterEffect::Literal(to, address))
+            one.with_written_registers([to])
+                .with_register_effect(RegisterEffect::Literal(to, address))
         } else {
-            one.with_writes([to])
+            one.with_written_registers([to])
         };
     }
     let small = second & 0xFF;
     let (address, back) = if first >> 7 & 1 != 0 {
         (AddressingMode::Near(base, second & 0xFFF), None)
     } else if second >> 11 & 1 == 0 {
-        (AddressingMode::Sum(base, register_field(second, 0)), None)
+        (AddressingMode::Sum(base, extract_register(second, 0)), None)
     } else {
         let amount = if second >> 9 & 1 != 0 { small } else { small.wrapping_neg() };
         let indexed = second >> 10 & 1 != 0;
@@ -272,40 +281,46 @@ fn decode_load_store_single(one: Instruction, first: u32, second: u32) -> Instru
             let flow = if base == SP { ControlFlow::Return } else { ControlFlow::JumpRegister(PC) };
             Instruction { flow, ..one.with_load(1, address) }
         }
-        true => one.with_load(1, address).with_writes([to]),
+        true => one.with_load(1, address).with_written_registers([to]),
         false => one.with_store(1, address),
     };
     match back {
-        Some(amount) => {
-            one.with_writes([base]).with_effect(RegisterEffect::Add(base, base, amount))
-        }
+        Some(amount) => one
+            .with_written_registers([base])
+            .with_register_effect(RegisterEffect::Add(base, base, amount)),
         None => one,
     }
 }
 
 /// Shifts by register, extensions, products, quotients (A5.3.12 to A5.3.17).
 fn decode_data_processing_register(one: Instruction, first: u32, second: u32) -> Instruction {
-    let to = register_field(second, 8);
+    let to = extract_register(second, 8);
     if first >> 8 & 1 == 0 {
         let sets = first >> 7 & 1 == 0 && first >> 4 & 1 != 0 && second >> 7 & 1 == 0;
         let flags = if sets { FlagEffect::Other } else { FlagEffect::Keep };
         let is_extension = second >> 7 & 1 != 0 && first & 0x8F == 0x0F;
-        let from = register_field(second, 0);
+        let from = extract_register(second, 0);
         let is_straight = second >> 4 & 3 == 0;
         let effect = match first >> 4 & 7 {
             1 if is_extension && is_straight => RegisterEffect::And(to, from, 0xFFFF),
             5 if is_extension && is_straight => RegisterEffect::And(to, from, 0xFF),
             _ => RegisterEffect::Other,
         };
-        return Instruction { flags, ..one.with_writes([to]).with_effect(effect) };
+        return Instruction {
+            flags,
+            ..one.with_written_registers([to]).with_register_effect(effect)
+        };
     }
     if first >> 7 & 1 == 0 {
         // mla and mls take two.
-        return Instruction { cycles: 2, ..one.with_writes([to]) };
+        return Instruction { cycles: 2, ..one.with_written_registers([to]) };
     }
     match first >> 4 & 7 {
         // sdiv, udiv
-        1 | 3 => Instruction { cycles: 12, ..one.with_writes([to]) },
-        _ => Instruction { cycles: 1, ..one.with_writes([to, register_field(second, 12)]) },
+        1 | 3 => Instruction { cycles: 12, ..one.with_written_registers([to]) },
+        _ => Instruction {
+            cycles: 1,
+            ..one.with_written_registers([to, extract_register(second, 12)])
+        },
     }
 }

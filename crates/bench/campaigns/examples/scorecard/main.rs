@@ -37,7 +37,7 @@ use compare::DrawScores;
 use score_card::ScoreCard;
 use trueup_campaigns::{
     hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
-    score::hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
+    score::hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
 
 /// Arguments of the command.
@@ -109,7 +109,10 @@ pub(crate) fn map_seeds_in_parallel<T: Send>(
 }
 
 /// Returns the answers to `seeds`, in their order.
-fn score_seeds(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> ScoreRow {
+fn score_seeds(
+    seeds: std::ops::Range<u64>,
+    of: &(dyn Fn(u64) -> HiddenEffectScore + Sync),
+) -> ScoreRow {
     ScoreRow { scores: map_seeds_in_parallel(seeds, of) }
 }
 

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use trueup_campaigns::score::pairs::{
-    MAX_WRONG_SHARE, MIN_RIGHT_SHARE, Pair, PairScore, find_value_errors,
+    CausePair, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, PairScore, find_value_errors,
 };
 
 use crate::{
@@ -21,7 +21,9 @@ pub fn run(words: &[String]) -> ExitCode {
     let mut draws = DrawScores::default();
     // Draws that can be distinguished; of those: right, with a wrong name, with a value or a gain that is off.
     let mut sum = [0; 4];
-    for pair in Pair::all().into_iter().filter(|pair| asked.is_selected(&pair.name())) {
+    for pair in
+        CausePair::all_compatible().into_iter().filter(|pair| asked.is_selected(&pair.name()))
+    {
         let judged = map_seeds_in_parallel(asked.seeds(), &|seed| pair.diagnose_and_score(seed));
         let judged: Vec<(u64, PairScore)> =
             asked.seeds().zip(judged).filter_map(|(seed, judged)| Some((seed, judged?))).collect();

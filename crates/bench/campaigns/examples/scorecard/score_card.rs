@@ -125,17 +125,17 @@ fn format_confusion_table(ratio: f64, rows: &[&(f64, String, ScoreRow)]) -> Stri
 
 fn format_table_row(row: &ScoreRow, name: &str) -> String {
     let (median, worst) = row.gain();
-    let (within, count) = row.within();
+    let (within, count) = row.interval_coverage();
     let number = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.3}") };
     let within =
         if count == 0 { "–".to_string() } else { format!("{:.0} % of {count}", 100.0 * within) };
     format!(
         "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} | {} |\n",
         row.scores.len(),
-        100.0 * row.right(),
-        100.0 * row.wrong(),
+        100.0 * row.right_share(),
+        100.0 * row.wrong_share(),
         number(median),
         number(worst),
-        row.harmed()
+        row.count_harmed()
     )
 }

@@ -9,7 +9,7 @@ use std::{ops::Range, path::Path, process::ExitCode};
 use trueup_campaigns::{
     hidden_effects::TestCase,
     known_term::{draw_aged_term, draw_with_known_term, known_and_new_causes, known_causes},
-    score::hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
+    score::hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
 use trueup_machine::MachineFile;
 
@@ -19,11 +19,11 @@ const EFFECT_TO_NOISE_RATIO: f64 = 3.0;
 /// The least share of all draws, and of each pair's.
 const MIN_RIGHT_SHARES: [f64; 2] = [0.95, 0.8];
 
-fn is_right(score: &Score) -> bool {
+fn is_right(score: &HiddenEffectScore) -> bool {
     score.is_right && !score.is_wrong
 }
 
-fn is_sole_finding(score: &Score) -> bool {
+fn is_sole_finding(score: &HiddenEffectScore) -> bool {
     is_right(score) && score.named.len() + score.unclaimed.len() == 1
 }
 
@@ -39,7 +39,9 @@ struct RowCounts {
 
 impl RowCounts {
     fn add(&mut self, name: &str, row: &ScoreRow) {
-        let count = |of: fn(&Score) -> bool| row.scores.iter().filter(|score| of(score)).count();
+        let count = |of: fn(&HiddenEffectScore) -> bool| {
+            row.scores.iter().filter(|score| of(score)).count()
+        };
         let (right, alone, draws) = (count(is_right), count(is_sole_finding), row.scores.len());
         self.draws += draws;
         self.right += right;

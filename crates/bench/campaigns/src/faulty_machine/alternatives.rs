@@ -27,7 +27,7 @@ const CANDIDATE_LAGS_S: [f64; 13] = [
     10_000.0,
 ];
 /// The most laws of a rival answer.
-const MAX_LAWS: usize = 3;
+const MAX_LAWS_PER_ALTERNATIVE: usize = 3;
 
 /// A record, and what the file says of it.
 pub(crate) struct PredictedRecord<'r> {
@@ -67,7 +67,8 @@ pub(crate) fn compute_bic_differences(
     faults: &[(PhysicalFault, &[f64])],
     noise_um: f64,
 ) -> BicDifferences {
-    let laws = if record.is_axis { axis_laws(record) } else { spindle_laws(record) };
+    let laws =
+        if record.is_axis { candidate_axis_laws(record) } else { candidate_spindle_laws(record) };
     let rows = record.run.row_count();
     let all: Vec<f64> =
         (0..rows).map(|row| faults.iter().map(|(_, um)| um[row]).sum::<f64>()).collect();
@@ -82,9 +83,9 @@ pub(crate) fn compute_bic_differences(
     let (mut unnamed, mut right) = (f64::INFINITY, (f64::INFINITY, Vec::new()));
     // All named, and something more: the best of each number of constants.
     let largest = answers.laws.iter().map(|(_, constants)| *constants).max().unwrap_or(0);
-    let mut mixed = vec![f64::INFINITY; largest * MAX_LAWS + 1];
+    let mut mixed = vec![f64::INFINITY; largest * MAX_LAWS_PER_ALTERNATIVE + 1];
     let mut set = Vec::new();
-    for_each_subset(laws.len(), MAX_LAWS, &mut set, &mut |set| {
+    for_each_subset(laws.len(), MAX_LAWS_PER_ALTERNATIVE, &mut set, &mut |set| {
         let is_named = set.iter().fold(0, |all, law| all | named[*law]) == everything;
         let bic = answers.bic(set);
         if !is_named {
@@ -224,7 +225,7 @@ impl NormalEquations {
 }
 
 /// Laws of a spindle's growth.
-fn spindle_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
+fn candidate_spindle_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
     use PhysicalFault::{
         AxialStiffness, CoilTemperature, ColdTool, LostCooling, Room, SensorGain, SpeedGrowth,
         ToolGrowth, UnseenHolder,
@@ -277,7 +278,7 @@ fn spindle_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
 }
 
 /// Laws of an axis's error.
-fn axis_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
+fn candidate_axis_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
     use PhysicalFault::{MisplacedThermometer, Mounting, Room, ScrewHeating, Wear};
     let run = record.run;
     let column = |name: &str| run.column(name).unwrap_or_default().to_vec();

@@ -19,9 +19,9 @@ pub use separable::SeparableFaultMachine;
 use crate::physical::PhysicalFault;
 
 /// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
-pub const MIN_FAULT_NOISE_RATIO: f64 = 3.0;
+pub const MIN_FAULT_TO_NOISE_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to this multiple of the noise.
-const FAULT_NOISE_RATIO_RANGE: [f64; 2] = [1.1 * MIN_FAULT_NOISE_RATIO, 10.0];
+const FAULT_TO_NOISE_RATIO_RANGE: [f64; 2] = [1.1 * MIN_FAULT_TO_NOISE_RATIO, 10.0];
 /// A fault that must be larger than this to be seen is none of this machine: as in
 /// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
 const MAX_FAULT_SIZE: f64 = 8.0;
@@ -44,7 +44,7 @@ pub struct SampledFault {
 ///
 /// # Errors
 /// Those of `at_size`.
-fn fault_at_ratio<E>(
+fn find_fault_at_noise_ratio<E>(
     target: f64,
     at_size: impl Fn(f64) -> Result<SampledFault, E>,
 ) -> Result<Option<SampledFault>, E> {
@@ -56,7 +56,7 @@ fn fault_at_ratio<E>(
         // The effect of a fault is nearly in proportion to its size.
         drawn = at_size((drawn.size * target / drawn.ratio).min(2.0 * MAX_FAULT_SIZE))?;
     }
-    Ok((drawn.size <= MAX_FAULT_SIZE && drawn.ratio >= MIN_FAULT_NOISE_RATIO).then_some(drawn))
+    Ok((drawn.size <= MAX_FAULT_SIZE && drawn.ratio >= MIN_FAULT_TO_NOISE_RATIO).then_some(drawn))
 }
 
 /// Returns the causes that may be named for `fault`: one or two, by physics. They were written down before the

@@ -8,9 +8,9 @@ use trueup_twin::{
     simulate,
 };
 
-use super::{FAULT_NOISE_RATIO_RANGE, SampledFault, fault_at_ratio};
+use super::{FAULT_TO_NOISE_RATIO_RANGE, SampledFault, find_fault_at_noise_ratio};
 use crate::{
-    own_effect::own_rms,
+    own_effect::orthogonal_component_rms,
     physical::{MachineKind, PhysicalFault, Plant},
 };
 
@@ -34,13 +34,14 @@ impl MultiFaultMachine {
             .into_iter()
             .filter(|kind| kind.possible_faults().len() >= count)
             .collect();
-        let mut case = Self::without_fault_of(stream.choose(&kinds), seed);
+        let mut case = Self::without_fault_of_kind(stream.choose(&kinds), seed);
         let mut left = case.plant.kind.possible_faults().to_vec();
         while case.faults.len() < count && !left.is_empty() {
             let fault = left.swap_remove(stream.uniform_integer(0, left.len() - 1));
-            let target = stream.log_uniform(FAULT_NOISE_RATIO_RANGE[0], FAULT_NOISE_RATIO_RANGE[1]);
+            let target =
+                stream.log_uniform(FAULT_TO_NOISE_RATIO_RANGE[0], FAULT_TO_NOISE_RATIO_RANGE[1]);
             let Ok::<_, Infallible>(drawn) =
-                fault_at_ratio(target, |size| Ok(case.fault_at_size(fault, size)));
+                find_fault_at_noise_ratio(target, |size| Ok(case.fault_at_size(fault, size)));
             case.faults.extend(drawn);
         }
         case
@@ -49,13 +50,13 @@ impl MultiFaultMachine {
     /// Returns the machine of `seed` without a fault.
     #[must_use]
     pub fn without_fault(seed: u64) -> Self {
-        Self::without_fault_of(
+        Self::without_fault_of_kind(
             MachineKind::SAMPLED_KINDS[(seed % MachineKind::SAMPLED_KINDS.len() as u64) as usize],
             seed,
         )
     }
 
-    fn without_fault_of(kind: MachineKind, seed: u64) -> Self {
+    fn without_fault_of_kind(kind: MachineKind, seed: u64) -> Self {
         let mut case = Self { plant: Plant::draw(kind, seed), faults: Vec::new(), noise_um: 0.0 };
         case.noise_um = rms(&case.residuals_um(&case.plant.machine, &case.record_day(0), true));
         case
@@ -75,10 +76,10 @@ impl MultiFaultMachine {
 
     /// Computes the RMS, over that of the noise, of the part of a fault's effect that no linear combination of the others and
     /// a constant has.
-    pub(crate) fn own_ratio(&self, of: usize) -> f64 {
+    pub(crate) fn orthogonal_component_to_noise_ratio(&self, of: usize) -> f64 {
         let others = self.faults.iter().enumerate().filter(|(number, _)| *number != of);
         let others: Vec<&[f64]> = others.map(|(_, other)| &other.um[..]).collect();
-        own_rms(&self.faults[of].um, &others) / self.noise_um
+        orthogonal_component_rms(&self.faults[of].um, &others) / self.noise_um
     }
 
     /// Returns the record of a day, as a run file.

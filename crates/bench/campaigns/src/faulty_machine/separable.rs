@@ -15,9 +15,9 @@ use trueup_twin::{
 };
 
 use super::{
-    FAULT_NOISE_RATIO_RANGE, SampledFault,
+    FAULT_TO_NOISE_RATIO_RANGE, SampledFault,
     alternatives::{BicDifferences, PredictedRecord, compute_bic_differences},
-    expected_causes, fault_at_ratio,
+    expected_causes, find_fault_at_noise_ratio,
 };
 use crate::{
     physical::{MachineKind, PhysicalFault, Plant},
@@ -32,7 +32,7 @@ const MIN_BIC_DIFFERENCE: f64 = 6.0;
 /// the measurements too.
 const MONITOR_INTERVAL_S: f64 = 60.0;
 /// Maximum number of machines drawn for a seed until one can be diagnosed.
-const MAX_DRAWS: u64 = 200;
+const MAX_DRAWS_PER_SEED: u64 = 200;
 
 /// A machine with hidden faults.
 #[derive(Clone, Debug)]
@@ -71,7 +71,7 @@ impl SeparableFaultMachine {
     ///
     /// # Errors
     /// The faults of no drawn machine can be diagnosed.
-    pub fn draw_with_tools(seed: u64) -> Result<Self> {
+    pub fn draw_with_tool_growth(seed: u64) -> Result<Self> {
         let machine =
             |stream: &mut RandomStream| (MachineKind::ToolSpindle, stream.uniform_integer(1, 2));
         Self::draw_until_separable(seed, "hidden tools", machine, Some(PhysicalFault::ToolGrowth))
@@ -84,11 +84,12 @@ impl SeparableFaultMachine {
         machine: impl Fn(&mut RandomStream) -> (MachineKind, usize),
         first: Option<PhysicalFault>,
     ) -> Result<Self> {
-        for attempt in 0..MAX_DRAWS {
+        for attempt in 0..MAX_DRAWS_PER_SEED {
             let mut stream = RandomStream::new(seed, &format!("{purpose} {attempt}"));
             let (kind, count) = machine(&mut stream);
             // Far from the seeds of other draws.
-            let plant = Plant::draw(kind, seed.wrapping_mul(MAX_DRAWS).wrapping_add(attempt));
+            let plant =
+                Plant::draw(kind, seed.wrapping_mul(MAX_DRAWS_PER_SEED).wrapping_add(attempt));
             let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
             hidden.noise_um = hidden
                 .rms_of_read_rows(&hidden.residuals_um(&hidden.plant.scenario_for_day(0, &[]), 0)?);
@@ -107,9 +108,10 @@ impl SeparableFaultMachine {
                 choice.retain(|other| {
                     expected_causes(*other).iter().all(|cause| !own.contains(cause))
                 });
-                let target =
-                    stream.log_uniform(FAULT_NOISE_RATIO_RANGE[0], FAULT_NOISE_RATIO_RANGE[1]);
-                let drawn = fault_at_ratio(target, |size| hidden.fault_at_size(fault, size))?;
+                let target = stream
+                    .log_uniform(FAULT_TO_NOISE_RATIO_RANGE[0], FAULT_TO_NOISE_RATIO_RANGE[1]);
+                let drawn =
+                    find_fault_at_noise_ratio(target, |size| hidden.fault_at_size(fault, size))?;
                 hidden.faults.extend(drawn);
             }
             if hidden.faults.len() == count {
@@ -121,7 +123,9 @@ impl SeparableFaultMachine {
                 }
             }
         }
-        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be diagnosed")
+        anyhow::bail!(
+            "seed {seed}: none of {MAX_DRAWS_PER_SEED} machines has faults that can be diagnosed"
+        )
     }
 
     /// Returns all faults with their sizes.
@@ -141,8 +145,8 @@ impl SeparableFaultMachine {
             scenario.instrument.noise_um = 0.0;
             scenario.instrument.quantum_um = 0.0;
         }
-        let run = self.monitor_record(&scenario, day)?;
-        let is_read = self.gauge_read_rows(&scenario, day);
+        let run = self.simulate_monitor_record(&scenario, day)?;
+        let is_read = self.gauge_read_mask(&scenario, day);
         let run = without_readings(&run, &self.measured_column(), |row| !is_read[row])?;
         // What lies between two measurements is of the next one.
         let Some(runs) = run.column("run") else { return Ok(run) };
@@ -164,7 +168,7 @@ impl SeparableFaultMachine {
     }
 
     /// Returns the rows of a day, the gauge read in all of them.
-    fn monitor_record(&self, scenario: &Scenario, day: u64) -> Result<RunFile> {
+    fn simulate_monitor_record(&self, scenario: &Scenario, day: u64) -> Result<RunFile> {
         let mut scenario = scenario.clone();
         scenario.interval_s = MONITOR_INTERVAL_S;
         let csv = simulate(&scenario, self.plant.day_seed(day), || {}).to_csv();
@@ -180,7 +184,7 @@ impl SeparableFaultMachine {
 
     /// In which of these rows the gauge is read: an axis is measured where it stands at a target, a spindle
     /// always.
-    fn gauge_read_rows(&self, scenario: &Scenario, day: u64) -> Vec<bool> {
+    fn gauge_read_mask(&self, scenario: &Scenario, day: u64) -> Vec<bool> {
         let Scenario { segment, repeat, start_mm, .. } = scenario;
         let legs =
             build_legs(segment, *repeat, *start_mm, MONITOR_INTERVAL_S, self.plant.day_seed(day));
@@ -203,7 +207,7 @@ impl SeparableFaultMachine {
 
     /// RMS over the rows of the first day that are read.
     fn rms_of_read_rows(&self, um: &[f64]) -> f64 {
-        let is_read = self.gauge_read_rows(&self.plant.scenario_for_day(0, &[]), 0);
+        let is_read = self.gauge_read_mask(&self.plant.scenario_for_day(0, &[]), 0);
         rms(&um
             .iter()
             .zip(is_read)
@@ -221,12 +225,12 @@ impl SeparableFaultMachine {
 
     /// Measured minus predicted by the file in every row, in µm; the zero of an axis's gauge does not count.
     fn residuals_um(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
-        let run = self.monitor_record(scenario, day)?;
+        let run = self.simulate_monitor_record(scenario, day)?;
         let predicted = self.predict_um(&run)?;
         let measured = run.require_column(&self.measured_column())?;
         let mut left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
         if self.is_axis() {
-            let is_read = self.gauge_read_rows(scenario, day);
+            let is_read = self.gauge_read_mask(scenario, day);
             let read = || left.iter().zip(&is_read).filter(|(_, read)| **read).map(|(um, _)| um);
             let mean = read().sum::<f64>() / read().count() as f64;
             left.iter_mut().for_each(|um| *um -= mean);
@@ -253,7 +257,7 @@ impl SeparableFaultMachine {
         let run = self.record_day(0, false)?;
         let record = PredictedRecord {
             predicted_um: self.predict_um(&run)?,
-            is_read: &self.gauge_read_rows(&self.plant.scenario_for_day(0, &self.fault_sizes()), 0),
+            is_read: &self.gauge_read_mask(&self.plant.scenario_for_day(0, &self.fault_sizes()), 0),
             is_axis: self.is_axis(),
             run: &run,
         };
@@ -275,7 +279,7 @@ fn machine_faults(kind: MachineKind) -> Vec<PhysicalFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::faulty_machine::MIN_FAULT_NOISE_RATIO;
+    use crate::faulty_machine::MIN_FAULT_TO_NOISE_RATIO;
 
     #[test]
     fn what_is_drawn_is_seen_and_can_be_told_and_a_seed_repeats_it() {
@@ -283,7 +287,7 @@ mod tests {
             let hidden = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
             assert!((1..=3).contains(&hidden.faults.len()));
             assert!(hidden.gap >= MIN_BIC_DIFFERENCE, "{}", hidden.gap);
-            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_FAULT_NOISE_RATIO));
+            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_FAULT_TO_NOISE_RATIO));
             let again = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
             assert_eq!(again.fault_sizes(), hidden.fault_sizes());
         }

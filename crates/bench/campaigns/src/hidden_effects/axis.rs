@@ -11,7 +11,7 @@ use super::{
 };
 use trueup_twin::{axes::AXIS_NAMES as AXES, noise::RandomStream, table::RunTable};
 
-const QUANTITIES: [&str; 3] = ["dx", "dy", "dz"];
+const MEASURED_QUANTITIES: [&str; 3] = ["dx", "dy", "dz"];
 
 /// The machine file's law of the axis's heat.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +77,11 @@ pub(super) struct AxisBench {
 type CausePredicate<'a> = dyn Fn(HiddenCause) -> bool + 'a;
 
 /// Draws the path that shows the causes.
-fn draw_path(has: &CausePredicate<'_>, is_warming: bool, stream: &mut RandomStream) -> PathKind {
+fn draw_path_kind(
+    has: &CausePredicate<'_>,
+    is_warming: bool,
+    stream: &mut RandomStream,
+) -> PathKind {
     if has(HiddenCause::PreSliding) {
         PathKind::Stations
     } else if is_warming || has(HiddenCause::PitchError) {
@@ -120,7 +124,7 @@ fn simulate_runs(
 }
 
 /// Gives each run the readings of a reference instrument that runs against the axis.
-fn add_instrument_readings(
+fn add_reference_instrument_readings(
     tables: &mut [RunTable],
     main: usize,
     travel_mm: [f64; 2],
@@ -173,7 +177,7 @@ impl AxisBench {
         let start_mm = if stream.bernoulli(0.6) { 0.0 } else { -(length_mm / 2.0).round() };
         let travel_mm = [start_mm, start_mm + length_mm];
 
-        let path = draw_path(&has, is_warming, stream);
+        let path = draw_path_kind(&has, is_warming, stream);
         let count =
             if is_thermal { stream.uniform_integer(5, 9) } else { stream.uniform_integer(10, 30) };
         let step_mm = length_mm / (count - 1) as f64;
@@ -206,7 +210,7 @@ impl AxisBench {
         };
 
         let mut bench = Self {
-            quantity: QUANTITIES[error],
+            quantity: MEASURED_QUANTITIES[error],
             error,
             main,
             other,
@@ -224,7 +228,7 @@ impl AxisBench {
             bench.pitch = Some(PitchTable {
                 start_mm,
                 step_mm: length_mm / (points - 1) as f64,
-                forward_um: random_walk(points, 1.5, stream)
+                forward_um: detrended_random_walk(points, 1.5, stream)
                     .iter()
                     .map(|um| round_to_tenth(*um))
                     .collect(),
@@ -237,7 +241,7 @@ impl AxisBench {
 
         let mut tables = simulate_runs(&plan, rows, &has, stream);
         if has(HiddenCause::ReferenceInstrument) {
-            add_instrument_readings(&mut tables, main, travel_mm, stream);
+            add_reference_instrument_readings(&mut tables, main, travel_mm, stream);
         }
         if has(HiddenCause::FeedDependentBacklash) {
             bench.feeds_mm_per_min = assign_feeds(&mut tables, stream);
@@ -360,7 +364,11 @@ fn draw_thermal_law(
 }
 
 /// `points` values of a random walk without its mean and its slope.
-pub(super) fn random_walk(points: usize, step: f64, stream: &mut RandomStream) -> Vec<f64> {
+pub(super) fn detrended_random_walk(
+    points: usize,
+    step: f64,
+    stream: &mut RandomStream,
+) -> Vec<f64> {
     let mut at = 0.0;
     let walked: Vec<f64> = (0..points)
         .map(|_| {

@@ -1,10 +1,10 @@
 //! The effect of each cause on the error of an axis.
 
 use super::{
-    axis::{AxisBench, random_walk},
+    axis::{AxisBench, detrended_random_walk},
     cause::HiddenCause,
     effect_shape::{
-        EffectShape, NamedParameters, PredictedRun, fixed_shape, linear_effect, map_runs,
+        EffectShape, NamedParameters, PredictedRun, fixed_parameter_effect, linear_effect, map_runs,
     },
     growth_effects::draw_generic_effect,
     laws::{
@@ -60,8 +60,8 @@ pub(super) fn draw_shape(
                 map_runs(runs, |run| run.column(&other_mm).iter().map(|mm| mm / 1000.0).collect());
             EffectShape { column: Some(other_mm.clone()), ..linear_effect(cause, "um_per_m", um) }
         }
-        HiddenCause::ReferenceInstrument => draw_instrument_chirp(bench, stream),
-        HiddenCause::PreSliding => return draw_pre_sliding(bench, stream),
+        HiddenCause::ReferenceInstrument => draw_reference_instrument_error(bench, stream),
+        HiddenCause::PreSliding => return draw_pre_sliding_error(bench, stream),
         HiddenCause::Abbe => {
             let (knots, controls) = draw_detrended_spline(bench, stream);
             tilt_effect(cause, bench, &|mm| evaluate_spline(&knots, &controls, mm), 0.0, {
@@ -70,7 +70,7 @@ pub(super) fn draw_shape(
             })
         }
         HiddenCause::AngularError => draw_angular_error(bench, stream),
-        HiddenCause::AxisExpansion => draw_expansion(bench, stream),
+        HiddenCause::AxisExpansion => draw_axis_expansion(bench, stream),
         HiddenCause::Step
         | HiddenCause::Drift
         | HiddenCause::DriftByRun
@@ -93,8 +93,8 @@ fn evaluate_along_axis(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> Vec<
 /// Returns an uneven scale or screw, with a table for each direction; `None` where the path has no even targets.
 fn draw_pitch_error(bench: &AxisBench, stream: &mut RandomStream) -> Option<EffectShape> {
     let (start_mm, step_mm, count) = bench.grid?;
-    let forward = random_walk(count, 1.0, stream);
-    let own = random_walk(count, 0.6, stream);
+    let forward = detrended_random_walk(count, 1.0, stream);
+    let own = detrended_random_walk(count, 0.6, stream);
     let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
     let um = evaluate_along_axis(bench, &|mm, d| {
         interpolate_uniform_table(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)
@@ -221,7 +221,7 @@ fn draw_thermal_error(
     let shape = match cause {
         HiddenCause::ThermalLag => {
             let tau_s = law.true_lag_s;
-            fixed_shape(
+            fixed_parameter_effect(
                 cause,
                 vec![("time_constant_s", tau_s)],
                 apart(&|c, mm| law.error_um(c, mm), law.lag_s),
@@ -231,7 +231,7 @@ fn draw_thermal_error(
             let shift_c = stream.random_sign() * stream.uniform(0.7, 3.0);
             // Next to a hidden lag it is that of the temperature which the axis follows.
             let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.true_lag_s);
-            let mut shape = fixed_shape(cause, vec![("shift_c", shift_c)], um);
+            let mut shape = fixed_parameter_effect(cause, vec![("shift_c", shift_c)], um);
             let training = &bench.runs[..bench.runs.len() - 1];
             let mm = training.iter().flat_map(|run| run.column(&position).to_vec()).collect();
             shape.imitators.push((HiddenCause::PitchScale, mm));
@@ -315,7 +315,7 @@ fn tilt_parameters(knots: &[f64], controls: &[f64], factor: f64) -> NamedParamet
 
 /// Draws a screw or a scale that grows with its temperature, which follows its thermometer late or at once, while
 /// the machine file says nothing of it. A warm part is longer: c is never negative.
-fn draw_expansion(bench: &AxisBench, stream: &mut RandomStream) -> EffectShape {
+fn draw_axis_expansion(bench: &AxisBench, stream: &mut RandomStream) -> EffectShape {
     let tau_s =
         if stream.bernoulli(0.33) { 0.0 } else { stream.log_uniform(100.0, 2500.0).round() };
     let reference_c = stream.uniform(18.0, 22.0).round();
@@ -344,7 +344,7 @@ fn draw_expansion(bench: &AxisBench, stream: &mut RandomStream) -> EffectShape {
 
 /// Returns the instrument's own error: periodic in the inverse of its reading, as that of a triangulating
 /// laser is, so no pitch of the axis explains it.
-fn draw_instrument_chirp(bench: &AxisBench, stream: &mut RandomStream) -> EffectShape {
+fn draw_reference_instrument_error(bench: &AxisBench, stream: &mut RandomStream) -> EffectShape {
     let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
     let stand_off_mm = length_mm * stream.uniform(0.8, 2.0);
     // From reading 0 to the travel's length the phase turns so often.
@@ -371,7 +371,7 @@ fn draw_instrument_chirp(bench: &AxisBench, stream: &mut RandomStream) -> Effect
 }
 
 /// The believed backlash does not come at once after a reversal, but over a way.
-fn draw_pre_sliding(bench: &AxisBench, stream: &mut RandomStream) -> Option<EffectShape> {
+fn draw_pre_sliding_error(bench: &AxisBench, stream: &mut RandomStream) -> Option<EffectShape> {
     let width_um = bench.backlash_um?;
     let way_mm = stream.uniform(0.03, 0.08);
     let column = format!("{}_mm", AXES[bench.main]);
@@ -388,5 +388,9 @@ fn draw_pre_sliding(bench: &AxisBench, stream: &mut RandomStream) -> Option<Effe
         })
         .collect()
     });
-    Some(fixed_shape(HiddenCause::PreSliding, vec![("way_mm", way_mm), ("width_um", width_um)], um))
+    Some(fixed_parameter_effect(
+        HiddenCause::PreSliding,
+        vec![("way_mm", way_mm), ("width_um", width_um)],
+        um,
+    ))
 }

@@ -65,7 +65,7 @@ pub(super) fn linear_effect(
 }
 
 /// Returns an effect whose parameters are drawn, and whose size follows.
-pub(super) fn fixed_shape(
+pub(super) fn fixed_parameter_effect(
     cause: HiddenCause,
     parameters: Vec<(&'static str, f64)>,
     um: Vec<Vec<f64>>,

@@ -38,7 +38,7 @@ pub(super) struct SpindleBench {
 
 /// The kind of source that a bench is to have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum SourceKind {
+pub(super) enum ElongationSourceKind {
     Sensor,
     Temperature,
     Warmup,
@@ -53,7 +53,7 @@ struct RunSampling {
 
 impl SpindleBench {
     pub(super) fn draw(
-        source_kind: SourceKind,
+        source_kind: ElongationSourceKind,
         causes: &[HiddenCause],
         stream: &mut RandomStream,
     ) -> Self {
@@ -77,7 +77,7 @@ impl SpindleBench {
         // What a thermometer at the bearing has of the shaft. With a displacement sensor it has little:
         // else it would be the growth itself, and every law of the one a law of the other.
         let (ring_share, slower) = match source_kind {
-            SourceKind::Sensor => (stream.uniform(0.0, 0.1), stream.uniform(1.5, 3.0)),
+            ElongationSourceKind::Sensor => (stream.uniform(0.0, 0.1), stream.uniform(1.5, 3.0)),
             _ => (stream.uniform(0.2, 0.6), 1.0),
         };
         let config = SpindleConfig {
@@ -110,7 +110,7 @@ impl SpindleBench {
         let late = has(HiddenCause::ThermometerLag)
             .then(|| apply_thermometer_lag(&mut tables, interval_s, stream));
         if has(HiddenCause::Dependence) {
-            add_coolant(&mut tables, stream);
+            add_coolant_column(&mut tables, stream);
         }
         let runs = tables.into_iter().map(|table| predict_run(&source, table)).collect();
         Self { source, max_rpm, late, runs }
@@ -143,18 +143,18 @@ impl SpindleBench {
 }
 
 fn draw_elongation_source(
-    source_kind: SourceKind,
+    source_kind: ElongationSourceKind,
     causes: &[HiddenCause],
     stream: &mut RandomStream,
 ) -> ElongationSource {
     let has = |cause| causes.contains(&cause);
     match source_kind {
-        SourceKind::Sensor => ElongationSource::Sensor {
+        ElongationSourceKind::Sensor => ElongationSource::Sensor {
             k0_um: if stream.bernoulli(0.5) { 0.0 } else { stream.uniform(-5.0, 5.0).round() },
             zero_counts: stream.uniform(3000.0, 7000.0).round(),
             um_per_count: 500.0 / 32768.0,
         },
-        SourceKind::Temperature => ElongationSource::Temperature {
+        ElongationSourceKind::Temperature => ElongationSource::Temperature {
             k_um_per_c: (stream.uniform(1.2, 4.0) * 100.0).round() / 100.0,
             reference_c: stream.uniform(18.0, 22.0).round(),
             lag_s: match () {
@@ -164,7 +164,7 @@ fn draw_elongation_source(
                 () => stream.uniform(100.0, 900.0).round(),
             },
         },
-        SourceKind::Warmup => {
+        ElongationSourceKind::Warmup => {
             let lag_s = stream.uniform(30.0, 180.0).round();
             let exponent = (stream.uniform(2.5, 5.0) * 10.0).round() / 10.0;
             let heating_s = stream.uniform(500.0, 1800.0);
@@ -338,7 +338,7 @@ pub(super) const COOLANT_PRESSURE_COLUMN: &str = "coolant_bar";
 pub(super) const COOLANT_VALVE_COLUMN: &str = "coolant_on";
 
 /// Coolant by its pressure, which wanders between 5 and 70 bar, or by its valve, switched every 25 rows or so.
-fn add_coolant(tables: &mut [RunTable], stream: &mut RandomStream) {
+fn add_coolant_column(tables: &mut [RunTable], stream: &mut RandomStream) {
     let has_pressure = stream.bernoulli(0.5);
     for table in tables {
         let rows = table.row_count();

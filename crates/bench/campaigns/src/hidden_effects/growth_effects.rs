@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::{
     cause::HiddenCause,
     effect_shape::{
-        EffectShape, NamedParameters, PredictedRun, fixed_shape, linear_effect, map_runs,
+        EffectShape, NamedParameters, PredictedRun, fixed_parameter_effect, linear_effect, map_runs,
     },
     elongation::{COOLANT_PRESSURE_COLUMN, COOLANT_VALVE_COLUMN, ElongationSource, SpindleBench},
     laws::{apply_first_order_lag, sinusoid, warmup_heat_fraction},
@@ -42,7 +42,7 @@ pub(super) fn draw_shape(
         HiddenCause::SensorCurvature => {
             linear_effect(cause, "per_um", map_predicted(runs, |p| p * p))
         }
-        HiddenCause::SensorSaturation => draw_saturation(runs, stream),
+        HiddenCause::SensorSaturation => draw_sensor_saturation(runs, stream),
         HiddenCause::SensorTemperatureDrift => {
             lagged_column_effect(cause, runs, "temp_coil_c", 0.0)
         }
@@ -61,7 +61,7 @@ pub(super) fn draw_shape(
                 grown.zip(&run.believed_um).map(|(grown, p)| grown - p).collect()
             };
             let um = runs.iter().zip(parts_c).map(of).collect();
-            fixed_shape(cause, vec![("time_constant_s", *lag_s)], um)
+            fixed_parameter_effect(cause, vec![("time_constant_s", *lag_s)], um)
         }
         HiddenCause::SlowMode => return Some(draw_slow_thermal_mode(bench, duration_s, stream)),
         HiddenCause::ExtraHeatPath => {
@@ -70,7 +70,7 @@ pub(super) fn draw_shape(
                 if stream.bernoulli(0.33) { 0.0 } else { stream.uniform(300.0, 3000.0).round() };
             lagged_column_effect(cause, runs, column, lag_s)
         }
-        HiddenCause::GrowthRate => draw_growth_rate(bench, stream)?,
+        HiddenCause::GrowthRate => draw_time_constant_error(bench, stream)?,
         HiddenCause::CentrifugalGrowth => linear_effect(
             cause,
             "um_per_krpm2",
@@ -88,7 +88,7 @@ pub(super) fn draw_shape(
             )
         },
         HiddenCause::Dependence => return Some(coolant_effect(runs)),
-        HiddenCause::ReferenceInstrument => draw_instrument_error(runs, stream),
+        HiddenCause::ReferenceInstrument => draw_reference_instrument_error(runs, stream),
         HiddenCause::PreloadChange => draw_preload_change(bench, stream),
         HiddenCause::CriticalSpeed => draw_critical_speed(bench, stream),
         HiddenCause::Step
@@ -103,7 +103,7 @@ pub(super) fn draw_shape(
 }
 
 /// Returns a sensor whose range ends within the growth of the training and of the hold-out.
-fn draw_saturation(runs: &[PredictedRun], stream: &mut RandomStream) -> EffectShape {
+fn draw_sensor_saturation(runs: &[PredictedRun], stream: &mut RandomStream) -> EffectShape {
     let cause = HiddenCause::SensorSaturation;
     let training = &runs[..runs.len() - 1];
     let exceeded_by = |runs: &[PredictedRun], share: f64| {
@@ -114,7 +114,7 @@ fn draw_saturation(runs: &[PredictedRun], stream: &mut RandomStream) -> EffectSh
     // Also the hold-out must reach it, else nothing could be gained there.
     let in_training_um = exceeded_by(training, stream.uniform(0.15, 0.4));
     let limit_um = in_training_um.min(exceeded_by(&runs[training.len()..], 0.15));
-    fixed_shape(
+    fixed_parameter_effect(
         cause,
         vec![("limit_um", limit_um)],
         map_predicted(runs, |p| (limit_um - p).min(0.0)),
@@ -134,7 +134,7 @@ fn draw_time_shift(
         let shifted = |row: usize| interpolate_at(time_s, p, time_s[row] - shift_s) - p[row];
         (0..p.len()).map(shifted).collect()
     });
-    fixed_shape(HiddenCause::TimeShift, vec![("shift_s", shift_s)], um)
+    fixed_parameter_effect(HiddenCause::TimeShift, vec![("shift_s", shift_s)], um)
 }
 
 /// Returns a growth that has another scale above a speed.
@@ -153,7 +153,10 @@ fn draw_preload_change(bench: &SpindleBench, stream: &mut RandomStream) -> Effec
 }
 
 /// Another time constant than the believed one, longer or shorter; `None` where the growth is no warm-up.
-fn draw_growth_rate(bench: &SpindleBench, stream: &mut RandomStream) -> Option<EffectShape> {
+fn draw_time_constant_error(
+    bench: &SpindleBench,
+    stream: &mut RandomStream,
+) -> Option<EffectShape> {
     let ElongationSource::Warmup(law) = &bench.source else { return None };
     let other = stream.uniform(1.3, 2.0);
     let tau_s =
@@ -164,11 +167,14 @@ fn draw_growth_rate(bench: &SpindleBench, stream: &mut RandomStream) -> Option<E
         let h = warmup_heat_fraction(time_s, rpm, law.lag_s, tau_s, cool_s);
         h.iter().zip(&run.believed_um).map(|(h, p)| law.max_um * h - p).collect()
     });
-    Some(fixed_shape(HiddenCause::GrowthRate, vec![("time_constant_s", tau_s)], um))
+    Some(fixed_parameter_effect(HiddenCause::GrowthRate, vec![("time_constant_s", tau_s)], um))
 }
 
 /// Returns a reference instrument whose error repeats over its range.
-fn draw_instrument_error(runs: &[PredictedRun], stream: &mut RandomStream) -> EffectShape {
+fn draw_reference_instrument_error(
+    runs: &[PredictedRun],
+    stream: &mut RandomStream,
+) -> EffectShape {
     let cause = HiddenCause::ReferenceInstrument;
     let training = &runs[..runs.len() - 1];
     let (low, high) = training
@@ -289,7 +295,7 @@ fn draw_lag_error(
                 let grown = truth.growth_um(run.column("time_s"), run.column("spindle_rpm"));
                 grown.iter().zip(&run.believed_um).map(|(grown, p)| grown - p).collect()
             });
-            fixed_shape(cause, vec![("time_constant_s", cool_s)], um)
+            fixed_parameter_effect(cause, vec![("time_constant_s", cool_s)], um)
         }
         ElongationSource::Temperature { k_um_per_c, reference_c, lag_s } => {
             let (rising_s, falling_s) = if cause == HiddenCause::ThermalLag {
@@ -304,12 +310,12 @@ fn draw_lag_error(
                 let grown = followed.iter().map(|c| k_um_per_c * (c - reference_c));
                 grown.zip(&run.believed_um).map(|(grown, p)| grown - p).collect()
             });
-            let shape = fixed_shape(cause, vec![("time_constant_s", falling_s)], um);
+            let shape = fixed_parameter_effect(cause, vec![("time_constant_s", falling_s)], um);
             EffectShape { column: Some("temp_front_c".to_string()), ..shape }
         }
         // `HiddenCause::bases` sends neither cause to a sensor.
         ElongationSource::Sensor { .. } => {
-            fixed_shape(cause, Vec::new(), map_predicted(runs, |_| 0.0))
+            fixed_parameter_effect(cause, Vec::new(), map_predicted(runs, |_| 0.0))
         }
     }
 }

@@ -69,7 +69,7 @@ pub struct TestCase {
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundTruth {
     /// None where there is only noise; two in a pair.
-    pub effects: Vec<Effect>,
+    pub effects: Vec<HiddenEffect>,
     /// The answer expected from a diagnosis.
     pub expected: ExpectedDiagnosis,
     /// RMS of the noise (with the rounding) over the training rows, in µm.
@@ -93,7 +93,7 @@ pub struct GroundTruth {
 
 /// One hidden effect.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Effect {
+pub struct HiddenEffect {
     /// The hidden cause.
     pub cause: HiddenCause,
     /// The column that it depends on, where there is a choice.
@@ -113,7 +113,7 @@ pub struct Effect {
     pub holdout_um: Vec<f64>,
 }
 
-impl Effect {
+impl HiddenEffect {
     /// Returns the parameter `name`, if the effect has it.
     #[must_use]
     pub fn parameter(&self, name: &str) -> Option<f64> {

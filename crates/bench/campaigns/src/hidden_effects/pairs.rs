@@ -33,7 +33,7 @@ const GROWTH_LAW_CAUSES: [HiddenCause; 5] = [
 ];
 
 /// Likewise of the sensor's characteristic: where its range ends, nothing else of it shows.
-const SENSOR_SIGNAL_CAUSES: [HiddenCause; 3] =
+const SENSOR_CHARACTERISTIC_CAUSES: [HiddenCause; 3] =
     [HiddenCause::SensorOffset, HiddenCause::SensorGain, HiddenCause::SensorCurvature];
 
 /// The path along the axis that a cause needs of its own.
@@ -86,7 +86,7 @@ impl HiddenCause {
             one(self) && another.contains(&other) || one(other) && another.contains(&self)
         };
         let is_one_law = GROWTH_LAW_CAUSES.contains(&self) && GROWTH_LAW_CAUSES.contains(&other)
-            || either(|cause| cause == Self::SensorSaturation, &SENSOR_SIGNAL_CAUSES)
+            || either(|cause| cause == Self::SensorSaturation, &SENSOR_CHARACTERISTIC_CAUSES)
             || either(
                 |cause| cause == Self::ReferenceTemperature,
                 &[Self::ExpansionSlope, Self::ExpansionConstant],

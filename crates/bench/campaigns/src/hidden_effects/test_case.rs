@@ -1,12 +1,12 @@
 //! From a base and its hidden effects to a challenge: sizes, noise, rounding, and the files.
 
 use super::{
-    Effect, GroundTruth, TestCase,
+    GroundTruth, HiddenEffect, TestCase,
     axis::AxisBench,
     axis_effects,
     cause::{BaseModel, ExpectedDiagnosis, HiddenCause},
     effect_shape::{EffectShape, PredictedRun},
-    elongation::{SourceKind, SpindleBench},
+    elongation::{ElongationSourceKind, SpindleBench},
     growth_effects,
     laws::fit_line,
 };
@@ -23,9 +23,9 @@ pub(super) fn build_test_case(
     let (quantity, machine, runs, shapes) = match base {
         BaseModel::Sensor | BaseModel::Temperature | BaseModel::Warmup => {
             let source_kind = match base {
-                BaseModel::Sensor => SourceKind::Sensor,
-                BaseModel::Temperature => SourceKind::Temperature,
-                _ => SourceKind::Warmup,
+                BaseModel::Sensor => ElongationSourceKind::Sensor,
+                BaseModel::Temperature => ElongationSourceKind::Temperature,
+                _ => ElongationSourceKind::Warmup,
             };
             let bench = SpindleBench::draw(source_kind, causes, &mut stream);
             let shapes: Vec<EffectShape> = causes
@@ -50,8 +50,8 @@ pub(super) fn build_test_case(
     let (sigma, mut effects, effect_um) = scale_effects(shapes, ratio, has_true_zero, &mut stream);
     // What comes early can only do so by another clock, and that is written down.
     let is_early =
-        |effect: &Effect| effect.parameter("shift_s").is_some_and(|shift_s| shift_s < 0.0);
-    let runs = if effects.iter().any(is_early) { add_gauge_clock(runs) } else { runs };
+        |effect: &HiddenEffect| effect.parameter("shift_s").is_some_and(|shift_s| shift_s < 0.0);
+    let runs = if effects.iter().any(is_early) { add_gauge_clock_column(runs) } else { runs };
     let rho = match causes {
         [HiddenCause::CleanCorrelated] => stream.uniform(0.5, 0.97),
         [HiddenCause::CleanWhite] => 0.0,
@@ -122,7 +122,7 @@ fn scale_effects(
     ratio: f64,
     has_true_zero: bool,
     stream: &mut RandomStream,
-) -> (f64, Vec<Effect>, Vec<Vec<f64>>) {
+) -> (f64, Vec<HiddenEffect>, Vec<Vec<f64>>) {
     let size = |um: &[Vec<f64>]| training_rms(um, has_true_zero);
     let drawn = stream.log_uniform(0.1, 1.2);
     let fixed = shapes.iter().find(|shape| !shape.is_linear);
@@ -140,7 +140,7 @@ fn scale_effects(
         for (sum, um) in sum.iter_mut().flatten().zip(shape.um.iter().flatten()) {
             *sum += factor * um;
         }
-        effects.push(Effect {
+        effects.push(HiddenEffect {
             cause: shape.cause,
             column: shape.column,
             parameters: named.parameters,
@@ -163,7 +163,7 @@ fn draw_resolution_um(sigma: f64, stream: &mut RandomStream) -> f64 {
 }
 
 /// Adds the clock of the logger that the gauge is on: it starts with the run, as the other does.
-fn add_gauge_clock(mut runs: Vec<PredictedRun>) -> Vec<PredictedRun> {
+fn add_gauge_clock_column(mut runs: Vec<PredictedRun>) -> Vec<PredictedRun> {
     for run in &mut runs {
         let time_s = run.column("time_s").to_vec();
         run.table.set_column("gauge_time_s", 1, time_s);

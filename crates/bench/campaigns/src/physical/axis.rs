@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     MachineKind, PhysicalFault,
-    kind::{CONTROLLED_ROOM_C, FaultDirections, base_scenario, build_thermometers},
+    kind::{CONTROLLED_ROOM_TEMPERATURE_C, FaultVariation, base_scenario, build_thermometers},
 };
 use trueup_twin::{
     axes::{AxisConfig, AxisName, Feedback, StraightnessConfig},
@@ -29,7 +29,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
         screw_heating_c: 0.0,
         screw_lag_s: stream.uniform(900.0, 2000.0),
         scale_lag_s: stream.uniform(900.0, 2500.0),
-        reference_c: CONTROLLED_ROOM_C,
+        reference_c: CONTROLLED_ROOM_TEMPERATURE_C,
         ..AxisConfig::default()
     };
     let head = "[machine]\nname = \"an axis\"\nkind = \"3-axis\"\n";
@@ -46,7 +46,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
     if kind == MachineKind::CompensatedAxis {
         machine += &format!(
             "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_scale_c\"\n\
-             reference_c = {CONTROLLED_ROOM_C:?}\nconstant_um_per_c = 0.0\nslope_um_per_m_per_c = {:?}\n\
+             reference_c = {CONTROLLED_ROOM_TEMPERATURE_C:?}\nconstant_um_per_c = 0.0\nslope_um_per_m_per_c = {:?}\n\
              origin_mm = 0.0\nlag_s = 0.0\n",
             axis.scale_um_per_m_per_c
         );
@@ -100,7 +100,7 @@ pub(super) fn apply_fault(
     scenario: &mut Scenario,
     fault: PhysicalFault,
     size: f64,
-    way: &FaultDirections,
+    way: &FaultVariation,
 ) {
     let Some(x) = scenario.axis.get_mut(&AxisName::X) else { return };
     match fault {

@@ -11,7 +11,7 @@ use trueup_twin::{
 };
 
 /// The temperature that a room is held at, and at which everything is right, in °C.
-pub(super) const CONTROLLED_ROOM_C: f64 = 20.0;
+pub(super) const CONTROLLED_ROOM_TEMPERATURE_C: f64 = 20.0;
 
 /// The kind of machine, with the laws in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -90,7 +90,7 @@ impl MachineKind {
 /// The way in which a fault of either direction goes, −1 or +1, the share of the wear that grows
 /// along the screw, and what the tools differ by.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FaultDirections {
+pub(super) struct FaultVariation {
     pub gain: f64,
     pub coil: f64,
     pub drift: f64,

@@ -2,7 +2,7 @@
 
 use super::{
     PhysicalFault, axis,
-    kind::{CONTROLLED_ROOM_C, FaultDirections, MachineKind},
+    kind::{CONTROLLED_ROOM_TEMPERATURE_C, FaultVariation, MachineKind},
     spindle,
 };
 use trueup_twin::{ambient::AmbientConfig, noise::RandomStream, scenario::Scenario};
@@ -21,7 +21,7 @@ pub struct Plant {
     seed: u64,
     /// The machine alone: no room yet, and nothing that it does.
     bare: Scenario,
-    directions: FaultDirections,
+    directions: FaultVariation,
 }
 
 impl Plant {
@@ -29,7 +29,7 @@ impl Plant {
     #[must_use]
     pub fn draw(kind: MachineKind, seed: u64) -> Self {
         let mut stream = RandomStream::new(seed, "physical machine");
-        let directions = FaultDirections {
+        let directions = FaultVariation {
             gain: stream.random_sign(),
             coil: stream.random_sign(),
             drift: stream.random_sign(),
@@ -96,7 +96,7 @@ impl Plant {
     }
 
     fn apply_fault(&self, scenario: &mut Scenario, fault: PhysicalFault, size: f64) {
-        let FaultDirections { drift, .. } = self.directions;
+        let FaultVariation { drift, .. } = self.directions;
         match fault {
             PhysicalFault::Room => {
                 scenario.ambient.amplitude_c = 1.0;
@@ -123,7 +123,7 @@ fn draw_tool_growth(seed: u64) -> [f64; 4] {
 /// Returns a room that swings by `swing_c` over the day and wanders by half of that, from some hour on.
 fn draw_ambient(swing_c: f64, stream: &mut RandomStream) -> AmbientConfig {
     AmbientConfig {
-        mean_c: CONTROLLED_ROOM_C,
+        mean_c: CONTROLLED_ROOM_TEMPERATURE_C,
         amplitude_c: swing_c,
         warmest_h: stream.uniform(0.0, 24.0),
         trend_c_per_h: 0.0,

@@ -2,7 +2,7 @@
 
 use super::{
     MachineKind, PhysicalFault,
-    kind::{CONTROLLED_ROOM_C, FaultDirections, base_scenario, build_thermometers},
+    kind::{CONTROLLED_ROOM_TEMPERATURE_C, FaultVariation, base_scenario, build_thermometers},
 };
 use trueup_twin::{
     heat::Material,
@@ -64,7 +64,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
             spots.push(("housing", Spot::Housing));
             format!(
                 "{head}source = \"temperature\"\n[spindle.temperature]\n\
-                 sensor = \"temp_housing_c\"\nreference_c = {CONTROLLED_ROOM_C:?}\nk_um_per_c = {um_per_c:?}\n"
+                 sensor = \"temp_housing_c\"\nreference_c = {CONTROLLED_ROOM_TEMPERATURE_C:?}\nk_um_per_c = {um_per_c:?}\n"
             )
         } else {
             warmup_machine_file(head, &spindle, um_per_c)
@@ -72,7 +72,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
     };
     let scenario = Scenario {
         interval_s: ROW_INTERVAL_S,
-        coolant: CoolantConfig { temperature_c: CONTROLLED_ROOM_C, air_share: 0.0 },
+        coolant: CoolantConfig { temperature_c: CONTROLLED_ROOM_TEMPERATURE_C, air_share: 0.0 },
         spindle: Some(spindle),
         sensor,
         thermometer: build_thermometers(spots),
@@ -151,7 +151,7 @@ pub(super) fn apply_fault(
     scenario: &mut Scenario,
     fault: PhysicalFault,
     size: f64,
-    way: &FaultDirections,
+    way: &FaultVariation,
 ) {
     if let Some(sensor) = &mut scenario.sensor {
         match fault {

@@ -10,7 +10,7 @@ use crate::hidden_effects::{ExpectedDiagnosis, GroundTruth, HiddenCause, TestCas
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]
-pub struct Interval {
+pub struct ParameterInterval {
     /// The cause and the parameter.
     pub name: String,
     /// The hidden value.
@@ -21,10 +21,10 @@ pub struct Interval {
     pub ci95: [f64; 2],
 }
 
-impl Interval {
+impl ParameterInterval {
     /// Returns whether what was hidden is inside, each end `times` as far from what was found.
     #[must_use]
-    pub fn is_inside(&self, times: f64) -> bool {
+    pub fn contains_hidden_value(&self, times: f64) -> bool {
         let [low, high] = self.ci95.map(|end| self.found + times * (end - self.found));
         (low..=high).contains(&self.hidden)
     }
@@ -32,7 +32,7 @@ impl Interval {
 
 /// The score of one answer.
 #[derive(Clone, Debug)]
-pub struct Score {
+pub struct HiddenEffectScore {
     /// The causes that were hidden.
     pub hidden: Vec<&'static str>,
     /// The causes that were named and claimed.
@@ -50,7 +50,7 @@ pub struct Score {
     /// Why causes are not claimed, with their values.
     pub doubts: Vec<String>,
     /// The interval of each hidden parameter of a cause that is a finding.
-    pub intervals: Vec<Interval>,
+    pub intervals: Vec<ParameterInterval>,
     /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained, or not every
     /// cause is claimed.
     pub share_of_gain: f64,
@@ -62,9 +62,9 @@ pub struct Score {
 }
 
 /// Harm on a hold-out: this many times what the current machine file leaves (RMS), by the fixed form of the answer.
-const HARM: f64 = 1.05;
+const MIN_HARM_RMS_RATIO: f64 = 1.05;
 
-impl fmt::Display for Score {
+impl fmt::Display for HiddenEffectScore {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let list = |names: &[String]| if names.is_empty() { "-".into() } else { names.join("+") };
         write!(
@@ -85,7 +85,7 @@ impl fmt::Display for Score {
             write!(f, ", HARM")?;
         }
         for it in &self.intervals {
-            let place = if it.is_inside(1.0) { "inside" } else { "OUTSIDE" };
+            let place = if it.contains_hidden_value(1.0) { "inside" } else { "OUTSIDE" };
             write!(f, ", {} {:.4} of {:.4} {place}", it.name, it.found, it.hidden)?;
         }
         for open in &self.open {
@@ -146,7 +146,7 @@ impl Answer {
     }
 
     /// Returns whether a finding says without a physical name what a law without one depends on.
-    fn is_of_unnamed(it: &AnswerFinding, truth: &GroundTruth) -> bool {
+    fn names_unnamed_effect_columns(it: &AnswerFinding, truth: &GroundTruth) -> bool {
         let inputs: Vec<&str> = truth
             .effects
             .iter()
@@ -193,7 +193,7 @@ impl Answer {
             }
             ExpectedDiagnosis::Unnamed => {
                 let is_of_it = |finding: &AnswerFinding| {
-                    finding.is_claimed && Self::is_of_unnamed(finding, truth)
+                    finding.is_claimed && Self::names_unnamed_effect_columns(finding, truth)
                 };
                 let is_open = [Verdict::Unexplained, Verdict::PartlyExplained];
                 is_open.iter().any(|cause| cause.name() == self.verdict)
@@ -211,7 +211,7 @@ impl Answer {
         let is_hidden =
             |name: &str| truth.effects.iter().any(|effect| effect.cause.expected_name() == name);
         let is_true = |finding: &AnswerFinding| {
-            is_hidden(&finding.cause) || Self::is_of_unnamed(finding, truth)
+            is_hidden(&finding.cause) || Self::names_unnamed_effect_columns(finding, truth)
         };
         self.findings.iter().any(|finding| finding.is_claimed && !is_true(finding))
     }
@@ -226,7 +226,7 @@ fn columns(finding: &Finding) -> Vec<String> {
 
 /// Scores `diagnosis` by the truth of `challenge`.
 #[must_use]
-pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
+pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> HiddenEffectScore {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
     let names = |of: fn(HiddenCause) -> &'static str| -> Vec<&'static str> {
@@ -273,7 +273,7 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
                 && high > low
             {
                 let name = format!("{} {name}", finding.cause);
-                intervals.push(Interval { name, hidden, found, ci95: [low, high] });
+                intervals.push(ParameterInterval { name, hidden, found, ci95: [low, high] });
             }
         }
     }
@@ -285,7 +285,7 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         ExpectedDiagnosis::Compensated if possible > 0.0 && is_claimed => reduction / possible,
         _ => f64::NAN,
     };
-    Score {
+    HiddenEffectScore {
         hidden,
         named,
         unclaimed,
@@ -297,7 +297,8 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         intervals,
         share_of_gain,
         visible: rms(&truth.effect_um) / truth.noise_rms_um,
-        is_harmed: report.after.compensated_holdout_rms_um > HARM * report.before.holdout_rms_um,
+        is_harmed: report.after.compensated_holdout_rms_um
+            > MIN_HARM_RMS_RATIO * report.before.holdout_rms_um,
     }
 }
 
@@ -305,30 +306,30 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
 #[derive(Clone, Debug, Default)]
 pub struct ScoreRow {
     /// One for each draw.
-    pub scores: Vec<Score>,
+    pub scores: Vec<HiddenEffectScore>,
 }
 
 impl ScoreRow {
-    fn share(&self, of: impl Fn(&Score) -> bool) -> f64 {
+    fn share_where(&self, of: impl Fn(&HiddenEffectScore) -> bool) -> f64 {
         self.scores.iter().filter(|score| of(score)).count() as f64
             / self.scores.len().max(1) as f64
     }
 
     /// Returns the share of right answers.
     #[must_use]
-    pub fn right(&self) -> f64 {
-        self.share(|score| score.is_right)
+    pub fn right_share(&self) -> f64 {
+        self.share_where(|score| score.is_right)
     }
 
     /// Returns the share of answers that claim a cause that was not hidden.
     #[must_use]
-    pub fn wrong(&self) -> f64 {
-        self.share(|score| score.is_wrong)
+    pub fn wrong_share(&self) -> f64 {
+        self.share_where(|score| score.is_wrong)
     }
 
     /// Counts the draws whose hold-out is left worse.
     #[must_use]
-    pub fn harmed(&self) -> usize {
+    pub fn count_harmed(&self) -> usize {
         self.scores.iter().filter(|score| score.is_harmed).count()
     }
 
@@ -348,12 +349,12 @@ impl ScoreRow {
 
     /// Returns the share of the true parameters that are within their intervals, and their count.
     #[must_use]
-    pub fn within(&self) -> (f64, usize) {
+    pub fn interval_coverage(&self) -> (f64, usize) {
         let all: Vec<bool> = self
             .scores
             .iter()
             .flat_map(|score| &score.intervals)
-            .map(|interval| interval.is_inside(1.0))
+            .map(|interval| interval.contains_hidden_value(1.0))
             .collect();
         let inside = all.iter().filter(|inside| **inside).count();
         (inside as f64 / all.len().max(1) as f64, all.len())
@@ -363,7 +364,7 @@ impl ScoreRow {
     #[must_use]
     pub fn format_line(&self, name: &str) -> String {
         let (median, worst) = self.gain();
-        let (within, count) = self.within();
+        let (within, count) = self.interval_coverage();
         let mut confused: BTreeMap<String, usize> = BTreeMap::new();
         for score in self.scores.iter().filter(|score| !score.is_right || score.is_wrong) {
             let mut names: Vec<String> = score.named.clone();
@@ -377,10 +378,10 @@ impl ScoreRow {
             "{name:<48} n {:>3} right {:>4.0} % wrong {:>4.0} % in {:>4.0} % of {count:<3} gain \
              {median:.3} worst {worst:.3} harm {}  {}",
             self.scores.len(),
-            100.0 * self.right(),
-            100.0 * self.wrong(),
+            100.0 * self.right_share(),
+            100.0 * self.wrong_share(),
             100.0 * within,
-            self.harmed(),
+            self.count_harmed(),
             confused.join("; ")
         )
     }

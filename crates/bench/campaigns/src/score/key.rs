@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use trueup_diagnose::{Report, Verdict, report::Finding};
+use trueup_diagnose::{DiagnosisReport, Verdict, report::Finding};
 
 /// A cause that may be claimed.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +21,7 @@ impl TrueCause {
         Self { cause, inside: None }
     }
 
-    fn is(&self, finding: &Finding) -> bool {
+    fn matches(&self, finding: &Finding) -> bool {
         let holds = |(name, value): (&str, f64)| {
             let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
             let bound = |index: usize| ci95.and_then(|ci95| ci95.get(index)?.as_f64());
@@ -42,7 +42,7 @@ pub struct AnswerKey {
 
 /// An answer compared with a [`AnswerKey`].
 #[derive(Clone, Debug)]
-pub struct KeyComparison {
+pub struct AnswerComparison {
     /// The verdict of the report.
     pub verdict: Verdict,
     /// Causes that are claimed.
@@ -60,12 +60,12 @@ pub struct KeyComparison {
 impl AnswerKey {
     /// Compares `report` with the key.
     #[must_use]
-    pub fn compare(&self, report: &Report) -> KeyComparison {
+    pub fn compare(&self, report: &DiagnosisReport) -> AnswerComparison {
         let names = |is_selected: &dyn Fn(&Finding) -> bool| {
             let findings = report.findings.iter().filter(|finding| is_selected(finding));
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
         };
-        let is_true = |finding: &Finding| self.allowed.iter().any(|truth| truth.is(finding));
+        let is_true = |finding: &Finding| self.allowed.iter().any(|truth| truth.matches(finding));
         let (claimed, mut open) =
             (names(&|comparison| comparison.claimed), names(&|comparison| !comparison.claimed));
         // Two that are only certain together are one finding, and both are named.
@@ -79,7 +79,7 @@ impl AnswerKey {
             .map(|list| (is_in(list, &claimed) || is_in(list, &open), is_in(list, &claimed)))
             .collect();
         let missed = self.needed.iter().zip(&needed).filter(|(_, (is_named, _))| !is_named);
-        KeyComparison {
+        AnswerComparison {
             verdict: report.verdict,
             wrong: names(&|comparison| comparison.claimed && !is_true(comparison)),
             missed: missed.map(|(list, _)| list[0]).collect(),
@@ -90,7 +90,7 @@ impl AnswerKey {
     }
 }
 
-impl KeyComparison {
+impl AnswerComparison {
     /// Returns true if all that is needed is named, and nothing false is claimed.
     #[must_use]
     pub fn is_right(&self) -> bool {
@@ -98,7 +98,7 @@ impl KeyComparison {
     }
 }
 
-impl fmt::Display for KeyComparison {
+impl fmt::Display for AnswerComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let list = |names: &[String]| if names.is_empty() { "-".into() } else { names.join("+") };
         write!(

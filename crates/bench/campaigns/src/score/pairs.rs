@@ -3,10 +3,10 @@
 //! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
 //! much as the noise that the other could not do.
 
-use super::hidden::{Score, run_diagnosis, score_diagnosis};
+use super::hidden::{HiddenEffectScore, run_diagnosis, score_diagnosis};
 use crate::{
     hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_pair},
-    own_effect::own_rms,
+    own_effect::orthogonal_component_rms,
 };
 
 /// The size of a cause, RMS over that of the noise.
@@ -17,13 +17,13 @@ pub const MIN_RIGHT_SHARE: f64 = 0.95;
 pub const MAX_WRONG_SHARE: f64 = 0.01;
 /// A 95 % interval leaves one honest value in twenty outside; at twice its width, 3.9 standard
 /// deviations of a normal distribution, one in ten thousand.
-const INTERVAL_WIDENING: f64 = 2.0;
+const INTERVAL_WIDENING_FACTOR: f64 = 2.0;
 /// Of the possible gain on the hold-out, what the worst answer that claims all must reach.
-const MIN_GAIN: f64 = 0.85;
+const MIN_SHARE_OF_GAIN: f64 = 0.85;
 
 /// A cause, and what is a part of it already: a table, each way one, has all that hangs on position and
 /// direction alone; another reference of a temperature or of a lever is a slope over the axis.
-const PARTS_OF: [(HiddenCause, HiddenCause); 7] = [
+const NESTED_CAUSES: [(HiddenCause, HiddenCause); 7] = [
     (HiddenCause::FeedDependentBacklash, HiddenCause::Backlash),
     (HiddenCause::PitchError, HiddenCause::PitchScale),
     (HiddenCause::PitchError, HiddenCause::PitchPeriodic),
@@ -47,10 +47,13 @@ pub fn named_causes() -> Vec<HiddenCause> {
 
 /// Returns what is wrong with the values of an answer: an interval that is far off, a gain that is missing.
 #[must_use]
-pub fn find_value_errors(score: &Score) -> Vec<String> {
-    let far = score.intervals.iter().filter(|interval| !interval.is_inside(INTERVAL_WIDENING));
+pub fn find_value_errors(score: &HiddenEffectScore) -> Vec<String> {
+    let far = score
+        .intervals
+        .iter()
+        .filter(|interval| !interval.contains_hidden_value(INTERVAL_WIDENING_FACTOR));
     let mut faults: Vec<String> = far.map(|far| format!("{far:?}")).collect();
-    if score.share_of_gain < MIN_GAIN {
+    if score.share_of_gain < MIN_SHARE_OF_GAIN {
         faults.push(format!("{:.3} of the possible gain", score.share_of_gain));
     }
     faults
@@ -58,20 +61,20 @@ pub fn find_value_errors(score: &Score) -> Vec<String> {
 
 /// Two causes of one machine.
 #[derive(Clone, Copy)]
-pub struct Pair(pub HiddenCause, pub HiddenCause);
+pub struct CausePair(pub HiddenCause, pub HiddenCause);
 
 /// The score of a pair.
 pub struct PairScore {
     /// The score by the rules of the score card.
-    pub score: Score,
+    pub score: HiddenEffectScore,
     /// Both are named, claimed or not, and nothing else is claimed.
     pub is_right: bool,
 }
 
-impl Pair {
+impl CausePair {
     /// Returns all whose causes stand next to each other.
     #[must_use]
-    pub fn all() -> Vec<Self> {
+    pub fn all_compatible() -> Vec<Self> {
         let all = named_causes();
         let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));
         let both = (0..all.len()).flat_map(of).map(|(a, b)| Self(all[a], b));
@@ -108,9 +111,9 @@ impl Pair {
     fn is_distinguishable(self, challenge: &TestCase) -> bool {
         let [a, b] = &challenge.truth.effects[..] else { return false };
         let noise_um = challenge.truth.noise_rms_um;
-        !PARTS_OF.contains(&(self.0, self.1))
-            && !PARTS_OF.contains(&(self.1, self.0))
-            && own_rms(&a.um, &[&b.um]) >= noise_um
-            && own_rms(&b.um, &[&a.um]) >= noise_um
+        !NESTED_CAUSES.contains(&(self.0, self.1))
+            && !NESTED_CAUSES.contains(&(self.1, self.0))
+            && orthogonal_component_rms(&a.um, &[&b.um]) >= noise_um
+            && orthogonal_component_rms(&b.um, &[&a.um]) >= noise_um
     }
 }

@@ -7,7 +7,7 @@ use trueup_diagnose::diagnose;
 use trueup_machine::{MachineFile, RunFile};
 use trueup_twin::noise::rms;
 
-use super::key::{AnswerKey, KeyComparison, TrueCause};
+use super::key::{AnswerComparison, AnswerKey, TrueCause};
 use crate::{
     faulty_machine::{MultiFaultMachine, expected_causes},
     physical::{MachineKind, PhysicalFault},
@@ -44,7 +44,9 @@ pub fn diagnose_and_score(machine: &MultiFaultMachine) -> PhysicalScore {
     PhysicalScore {
         kind: machine.plant.kind,
         faults: faults
-            .map(|(of, drawn)| (drawn.fault, drawn.ratio, machine.own_ratio(of)))
+            .map(|(of, drawn)| {
+                (drawn.fault, drawn.ratio, machine.orthogonal_component_to_noise_ratio(of))
+            })
             .collect(),
         comparison: answer_key(machine).compare(&diagnosis.report),
         before_um: rms(&machine.residuals_um(&machine.plant.machine, &second, false)),
@@ -59,7 +61,7 @@ pub struct PhysicalScore {
     /// Each with its RMS over that of the noise, whole and without what others could do as well.
     pub faults: Vec<(PhysicalFault, f64, f64)>,
     /// The answer compared with its key.
-    pub comparison: KeyComparison,
+    pub comparison: AnswerComparison,
     /// RMS on the second day with the file as it was, in µm.
     pub before_um: f64,
     /// The same with what the answer corrects.

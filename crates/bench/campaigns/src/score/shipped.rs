@@ -20,12 +20,12 @@ pub struct ShippedScenario {
     pub key: fn() -> AnswerKey,
 }
 
-const AXIS: &str = include_str!("../../../../../data/scenario-axis.toml");
-const WARMUP: &str = include_str!("../../../../../data/scenario-warmup.toml");
-const SCREW: &str = "[machine]\nname = \"an axis\"\nkind = \"3-axis\"\n\
+const AXIS_SCENARIO_TOML: &str = include_str!("../../../../../data/scenario-axis.toml");
+const WARMUP_SCENARIO_TOML: &str = include_str!("../../../../../data/scenario-warmup.toml");
+const SCREW_AXIS_MACHINE_TOML: &str = "[machine]\nname = \"an axis\"\nkind = \"3-axis\"\n\
                      [axis.x]\nfeedback = \"screw\"\n";
 /// The law of the paper, and the coil as the sensor's temperature.
-const PAPER: &str = "[machine]\nname = \"a spindle\"\nkind = \"3-axis\"\n\
+const PAPER_SPINDLE_MACHINE_TOML: &str = "[machine]\nname = \"a spindle\"\nkind = \"3-axis\"\n\
                      [spindle]\nsource = \"sensor\"\n\
                      [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\n\
                      um_per_count = 0.0152587890625\ntemperature = \"temp_coil_c\"\n";
@@ -34,31 +34,31 @@ const PAPER: &str = "[machine]\nname = \"a spindle\"\nkind = \"3-axis\"\n\
 pub const SHIPPED_SCENARIOS: [ShippedScenario; 3] = [
     ShippedScenario {
         name: "scenario-axis dx",
-        scenario: AXIS,
-        machine: SCREW,
+        scenario: AXIS_SCENARIO_TOML,
+        machine: SCREW_AXIS_MACHINE_TOML,
         quantity: Quantity::Dx,
-        key: axis_along,
+        key: axis_dx_answer_key,
     },
     ShippedScenario {
         name: "scenario-axis dy",
-        scenario: AXIS,
-        machine: SCREW,
+        scenario: AXIS_SCENARIO_TOML,
+        machine: SCREW_AXIS_MACHINE_TOML,
         quantity: Quantity::Dy,
-        key: axis_across,
+        key: axis_dy_answer_key,
     },
     ShippedScenario {
         name: "scenario-warmup",
-        scenario: WARMUP,
-        machine: PAPER,
+        scenario: WARMUP_SCENARIO_TOML,
+        machine: PAPER_SPINDLE_MACHINE_TOML,
         quantity: Quantity::Elongation,
-        key: warmup,
+        key: warmup_answer_key,
     },
 ];
 
 /// The instrument of the axis drifts by this much.
-const DRIFT: TrueCause = TrueCause { cause: "drift", inside: Some(("um_per_h", 0.05)) };
+const INSTRUMENT_DRIFT: TrueCause = TrueCause { cause: "drift", inside: Some(("um_per_h", 0.05)) };
 
-fn axis_along() -> AnswerKey {
+fn axis_dx_answer_key() -> AnswerKey {
     AnswerKey {
         allowed: vec![
             TrueCause::named("axis-expansion"),
@@ -66,21 +66,25 @@ fn axis_along() -> AnswerKey {
             TrueCause::named("pitch-scale"),
             TrueCause::named("pitch-error"),
             TrueCause::named("backlash"),
-            DRIFT,
+            INSTRUMENT_DRIFT,
             TrueCause { cause: "pitch-periodic", inside: Some(("period_mm", 10.0)) },
         ],
         needed: vec![&["axis-expansion"], &["backlash", "pitch-error"]],
     }
 }
 
-fn axis_across() -> AnswerKey {
+fn axis_dy_answer_key() -> AnswerKey {
     AnswerKey {
-        allowed: vec![TrueCause::named("straightness"), TrueCause::named("cross-axis"), DRIFT],
+        allowed: vec![
+            TrueCause::named("straightness"),
+            TrueCause::named("cross-axis"),
+            INSTRUMENT_DRIFT,
+        ],
         needed: vec![&["straightness"]],
     }
 }
 
-fn warmup() -> AnswerKey {
+fn warmup_answer_key() -> AnswerKey {
     let heat: &[&str] = &["extra-heat-path", "slow-mode"];
     AnswerKey {
         allowed: ["sensor-gain", "sensor-temperature-drift", "cutting-load"]

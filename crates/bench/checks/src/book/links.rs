@@ -19,7 +19,7 @@ pub(crate) struct Link {
 pub(crate) fn find_links(text: &str) -> Vec<Link> {
     let mut found = Vec::new();
     let mut line = 0;
-    rewrite_targets_at(text, &mut |number, target| {
+    rewrite_targets_with_line(text, &mut |number, target| {
         line = number;
         found.push(Link { line, target: target.into() });
         None
@@ -29,10 +29,13 @@ pub(crate) fn find_links(text: &str) -> Vec<Link> {
 
 /// Returns the same text with the targets that `new` gives; `None` leaves one unchanged.
 pub(crate) fn rewrite_targets(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
-    rewrite_targets_at(text, &mut |_, target| new(target))
+    rewrite_targets_with_line(text, &mut |_, target| new(target))
 }
 
-fn rewrite_targets_at(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>) -> String {
+fn rewrite_targets_with_line(
+    text: &str,
+    new: &mut dyn FnMut(usize, &str) -> Option<String>,
+) -> String {
     let mut result = String::with_capacity(text.len());
     let mut in_code = false;
     for (line, number) in text.split_inclusive('\n').zip(1..) {

@@ -71,7 +71,7 @@ fn read_text(file: &Path) -> Result<String> {
 ///
 /// # Errors
 /// A document cannot be read.
-pub(crate) fn find_problems(root: &Path) -> Result<Vec<String>> {
+pub(crate) fn find_book_problems(root: &Path) -> Result<Vec<String>> {
     let summary = fs::read_to_string(root.join(BOOK_SOURCE_FOLDER).join("SUMMARY.md"))?;
     let listed: Vec<String> =
         links::find_links(&summary).into_iter().map(|link| link.target).collect();
@@ -92,9 +92,9 @@ pub(crate) fn find_problems(root: &Path) -> Result<Vec<String>> {
 ///
 /// # Errors
 /// A link is broken, or mdBook cannot be built or fails.
-pub fn render() -> Result<PathBuf> {
+pub fn render_book() -> Result<PathBuf> {
     let root = setup::project_root();
-    let faults = find_problems(&root)?;
+    let faults = find_book_problems(&root)?;
     if !faults.is_empty() {
         bail!("broken links:\n{}", faults.join("\n"));
     }
@@ -174,7 +174,7 @@ mod tests {
 
     #[test]
     fn every_page_is_in_the_contents_once_and_every_link_of_every_document_resolves() {
-        let faults = find_problems(&project_root()).expect("the documents can be read");
+        let faults = find_book_problems(&project_root()).expect("the documents can be read");
         assert!(faults.is_empty(), "{}", faults.join("\n"));
         // Not because nothing was looked at.
         assert!(read_book_pages(&project_root()).expect("as above").len() > 20);

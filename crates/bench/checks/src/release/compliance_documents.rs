@@ -10,7 +10,7 @@ use super::reproducible_build;
 use crate::{cargo, supply_chain};
 
 /// The versions that options and templates are written for.
-const CYCLONEDX_VERSION: &str = "0.5.9";
+const CARGO_CYCLONEDX_VERSION: &str = "0.5.9";
 const CARGO_ABOUT_VERSION: &str = "0.9.3";
 
 /// A product that is built of other people's crates: its name, the folder of its package, and what it is built for.
@@ -68,7 +68,8 @@ pub(super) fn write_documents(source: &Path, folder: &Path) -> Result<Vec<String
 /// Writes the parts list (SBOM) in CycloneDX's JSON.
 fn write_sbom(product: &Product, source: &Path, folder: &Path) -> Result<()> {
     let Product { name, package, target, features } = product;
-    let mut command = Command::new(cargo::install_tool("cargo-cyclonedx", CYCLONEDX_VERSION)?);
+    let mut command =
+        Command::new(cargo::install_tool("cargo-cyclonedx", CARGO_CYCLONEDX_VERSION)?);
     command.args(["cyclonedx", "--quiet", "--format", "json", "--spec-version", "1.5"]);
     command.args(["--target", target, "--override-filename", name]).args(*features);
     command.arg("--manifest-path").arg(source.join(package).join("Cargo.toml"));

@@ -70,7 +70,7 @@ pub struct Release {
 /// or a tool is missing or fails.
 pub fn create_release(key: Option<&Path>) -> Result<Release> {
     // Before anything is built: an error minutes later would go unnoticed.
-    let private = key.map(read_key).transpose()?;
+    let private = key.map(read_private_key).transpose()?;
     let again = reproducible_build::build_reproducibly(key.zip(private.as_ref()))?;
     let folder = release_folder();
     let mut held_out = describe_unavailable_platforms();
@@ -91,7 +91,7 @@ pub fn create_release(key: Option<&Path>) -> Result<Release> {
     Ok(Release { files: file_names(&folder)?, folder, skipped: held_out })
 }
 
-fn read_key(path: &Path) -> Result<PrivateKey> {
+fn read_private_key(path: &Path) -> Result<PrivateKey> {
     let pem = fs::read_to_string(path).with_context(|| path.display().to_string())?;
     PrivateKey::from_pem(&pem).with_context(|| path.display().to_string())
 }

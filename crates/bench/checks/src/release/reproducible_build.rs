@@ -35,14 +35,14 @@ pub(super) fn build_reproducibly(key: Option<(&Path, &PrivateKey)>) -> Result<Pa
     ]))?;
     ensure!(changed.is_empty(), "a release is of a commit; these are in none:\n{changed}");
     let time = commit_time()?;
-    build_in_folder(&root, time, &keys)?;
+    build_release_in_folder(&root, time, &keys)?;
     let again = root.join("target/release-again/in-another-folder");
     if again.is_dir() {
         fs::remove_dir_all(&again)?;
     }
     fs::create_dir_all(again.parent().context("it is in a folder")?)?;
     process::run(git_command(&root).args(["clone", "--quiet", "--no-hardlinks", "."]).arg(&again))?;
-    build_in_folder(&again, time, &keys)?;
+    build_release_in_folder(&again, time, &keys)?;
     let files = |root: &Path| root.join("target/release-files");
     let differ = find_differing_files(&files(&root), &files(&again))?;
     ensure!(
@@ -71,7 +71,7 @@ fn git_command(root: &Path) -> Command {
 }
 
 /// Builds all files of a folder. This program does it for both: it is of the same commit.
-fn build_in_folder(root: &Path, commit_time: u64, keys: &[(&str, PathBuf)]) -> Result<()> {
+fn build_release_in_folder(root: &Path, commit_time: u64, keys: &[(&str, PathBuf)]) -> Result<()> {
     trueup_output::write_diagnostic(format_args!("building in {}", root.display()));
     let mut command = Command::new(env::current_exe()?);
     command.current_dir(root).args(["release", "--once"]);

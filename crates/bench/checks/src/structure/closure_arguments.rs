@@ -3,7 +3,7 @@
 use super::source::{SourceFile, is_identifier_byte};
 
 /// The name that says nothing.
-const PLACEHOLDER: &[u8] = b"it";
+const PLACEHOLDER_ARGUMENT: &[u8] = b"it";
 
 /// Returns `file:line` of each closure one of whose arguments is named `it`, those of tests included.
 pub(super) fn find_placeholder_arguments(sources: &[SourceFile]) -> Vec<String> {
@@ -29,7 +29,7 @@ fn closures_with_placeholder(code: &[u8]) -> Vec<usize> {
             at += 1;
             continue;
         }
-        if !opens_closure(&code[..open]) {
+        if !is_closure_start(&code[..open]) {
             continue;
         }
         let Some(close) = find_bar(code, at) else { break };
@@ -38,7 +38,10 @@ fn closures_with_placeholder(code: &[u8]) -> Vec<usize> {
         if arguments.windows(2).any(|pair| pair == b"=>") {
             continue;
         }
-        if arguments.split(|byte| !is_identifier_byte(*byte)).any(|word| word == PLACEHOLDER) {
+        if arguments
+            .split(|byte| !is_identifier_byte(*byte))
+            .any(|word| word == PLACEHOLDER_ARGUMENT)
+        {
             found.push(open);
         }
         at = close + 1;
@@ -51,7 +54,7 @@ fn find_bar(code: &[u8], from: usize) -> Option<usize> {
 }
 
 /// Returns whether a bar after this code opens a closure's arguments: after an operand it is an operator.
-fn opens_closure(before: &[u8]) -> bool {
+fn is_closure_start(before: &[u8]) -> bool {
     let before = before.trim_ascii_end();
     before.last().is_none_or(|byte| b"(,=>{};:&[".contains(byte))
         || [b"move".as_slice(), b"return"].iter().any(|word| before.ends_with(word))

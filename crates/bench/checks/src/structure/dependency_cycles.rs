@@ -159,7 +159,7 @@ impl<'s> CrateModules<'s> {
     }
 
     /// Returns the path of a module's file from the project's root.
-    pub(super) fn path(&self, module: &[String]) -> &str {
+    pub(super) fn file_path(&self, module: &[String]) -> &str {
         self.modules.get(module).map_or("", |source| &source.path)
     }
 

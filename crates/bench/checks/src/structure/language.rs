@@ -11,9 +11,9 @@ use anyhow::{Context as _, Result};
 use super::source::SourceFile;
 
 /// Counted words of one kind that 10,000 words may have.
-pub(super) const MAX_FREQUENCY: f64 = 2.0;
+pub(super) const MAX_OCCURRENCES_PER_10_000_WORDS: f64 = 2.0;
 /// Doc comments of functions that begin with a verb, of a hundred.
-pub(super) const MIN_VERB_PERCENT: f64 = 60.0;
+pub(super) const MIN_VERB_FIRST_DOC_PERCENT: f64 = 60.0;
 
 /// Words whose frequency is printed: the heading, and the forms in lower case.
 const COUNTED_WORDS: &[(&str, &[&str])] = &[
@@ -41,7 +41,7 @@ const REPLACED_PHRASES: &[(&str, &str)] = &[
 ];
 
 /// Words and phrases that have a term of the trade: none may be in a text in quotes, which is a message.
-const REPLACED_IN_MESSAGES: &[(&str, &str)] = &[
+const REPLACED_MESSAGE_PHRASES: &[(&str, &str)] = &[
     ("told", "reported, sent, separated"),
     ("tell", "show, separate, report"),
     ("tells", "shows, separates, reports"),
@@ -124,7 +124,7 @@ pub(crate) struct LanguageReport {
     pub functions: [usize; 2],
     /// `file:line: phrase` of [`FORBIDDEN_REFERENCES`].
     pub nowhere: Vec<String>,
-    /// `file:line: phrase -> term` of [`REPLACED_PHRASES`] and [`REPLACED_IN_MESSAGES`].
+    /// `file:line: phrase -> term` of [`REPLACED_PHRASES`] and [`REPLACED_MESSAGE_PHRASES`].
     pub phrases: Vec<String>,
     /// `file:line: path` of source files that are named and are not there.
     pub missing_files: Vec<String>,
@@ -136,7 +136,7 @@ pub(crate) struct LanguageReport {
 
 impl LanguageReport {
     /// Returns a count per 10,000 words.
-    pub(crate) fn frequency(&self, count: usize) -> f64 {
+    pub(crate) fn per_10_000_words(&self, count: usize) -> f64 {
         1e4 * count as f64 / self.words.max(1) as f64
     }
 }
@@ -145,7 +145,7 @@ impl LanguageReport {
 ///
 /// # Errors
 /// A page cannot be read.
-pub(crate) fn count_words(root: &Path, sources: &[SourceFile]) -> Result<LanguageReport> {
+pub(crate) fn analyse_language(root: &Path, sources: &[SourceFile]) -> Result<LanguageReport> {
     let mut found = LanguageReport {
         counts: COUNTED_WORDS.iter().map(|(head, _)| (*head, 0)).chain([("What …", 0)]).collect(),
         ..LanguageReport::default()
@@ -171,11 +171,11 @@ pub(crate) fn count_words(root: &Path, sources: &[SourceFile]) -> Result<Languag
         found.nowhere.extend(find_forbidden_references(&source.path, &source.text));
         let comments = comment_lines(&source.text);
         found.phrases.extend(find_replaced_phrases(&source.path, &strip_code(&comments)));
-        found.phrases.extend(find_replaced_in_messages(source));
+        found.phrases.extend(find_replaced_message_phrases(source));
         found.missing_files.extend(find_missing_files(&source.path, &comments, sources));
         found.add_text(&source.path, &strip_code(&doc_comments(&source.text)));
         if !source.is_test() {
-            for first in first_words_of_functions(&source.text) {
+            for first in first_doc_words_of_functions(&source.text) {
                 found.functions[0] += 1;
                 found.functions[1] += usize::from(is_verb(&first));
             }
@@ -261,11 +261,11 @@ fn strip_code(text: &str) -> String {
 }
 
 fn count_whole_words(text: &str, form: &str) -> usize {
-    whole_words(text, form).count()
+    find_whole_words(text, form).count()
 }
 
 /// Returns where `form` stands between other characters than letters and digits.
-fn whole_words<'t>(text: &'t str, form: &'t str) -> impl Iterator<Item = usize> + 't {
+fn find_whole_words<'t>(text: &'t str, form: &'t str) -> impl Iterator<Item = usize> + 't {
     let is_letter = |letter: Option<char>| letter.is_some_and(char::is_alphanumeric);
     text.match_indices(form).map(|(at, _)| at).filter(move |at| {
         !is_letter(text[..*at].chars().next_back())
@@ -293,7 +293,7 @@ fn is_question(text: &str) -> bool {
 }
 
 /// Returns the first word of the doc comment of each documented function.
-fn first_words_of_functions(text: &str) -> Vec<String> {
+fn first_doc_words_of_functions(text: &str) -> Vec<String> {
     let mut first: Option<String> = None;
     let mut found = Vec::new();
     for line in text.lines().map(str::trim) {
@@ -349,7 +349,7 @@ fn find_replaced_phrases(name: &str, text: &str) -> Vec<String> {
 
 /// Returns where a text in quotes has a phrase with a term of the trade. What is compiled for tests does not count, nor
 /// do names in quotes (`"told"`, `"/plc/heard"`), which others read, and names in braces.
-fn find_replaced_in_messages(source: &SourceFile) -> Vec<String> {
+fn find_replaced_message_phrases(source: &SourceFile) -> Vec<String> {
     if source.is_test() {
         return Vec::new();
     }
@@ -360,14 +360,14 @@ fn find_replaced_in_messages(source: &SourceFile) -> Vec<String> {
         let quoted = words.bytes().zip(code.bytes());
         let quoted = quoted.map(|(word, code)| if code == b' ' { word } else { b'"' });
         let lower = String::from_utf8_lossy(&quoted.collect::<Vec<_>>()).to_lowercase();
-        for (phrase, term) in REPLACED_IN_MESSAGES {
+        for (phrase, term) in REPLACED_MESSAGE_PHRASES {
             let is_message = |at: usize| {
                 let [before, after] = [&lower[..at], &lower[at + phrase.len()..]];
                 let is_name =
                     before.ends_with(['"', '/', '.', '_']) && after.starts_with(['"', '_']);
                 !is_name && !before.ends_with(['{', '_']) && !after.starts_with('_')
             };
-            if whole_words(&lower, phrase).any(is_message) {
+            if find_whole_words(&lower, phrase).any(is_message) {
                 found.push(format!("{}:{}: {phrase} -> {term}", source.path, index + 1));
             }
         }
@@ -435,13 +435,13 @@ mod tests {
                     say(\"told\", told, \"/plc/heard\", \"{told}\");\n    say(\"a µm left out, {x}\");\n}\n\
                     #[cfg(test)]\nmod tests {\n    const A: &str = \"it was told\";\n}\n";
         assert_eq!(
-            find_replaced_in_messages(&SourceFile::new("src/a.rs", text)),
+            find_replaced_message_phrases(&SourceFile::new("src/a.rs", text)),
             [
                 "src/a.rs:3: told -> reported, sent, separated",
                 "src/a.rs:5: left out -> held out, skipped, omitted"
             ]
         );
-        assert!(find_replaced_in_messages(&SourceFile::new("tests/a.rs", text)).is_empty());
+        assert!(find_replaced_message_phrases(&SourceFile::new("tests/a.rs", text)).is_empty());
     }
 
     #[test]
@@ -463,7 +463,7 @@ mod tests {
     fn a_function_doc_begins_with_a_verb_or_not() {
         let text = "/// Returns it.\n#[must_use]\npub const fn a() {}\n/// The value.\nfn b();\n\
                     /// A type.\nstruct C;\n/// This is it.\nasync fn d() {}";
-        let words = first_words_of_functions(text);
+        let words = first_doc_words_of_functions(text);
         assert_eq!(words, ["Returns", "The", "This"]);
         assert_eq!(words.iter().filter(|word| is_verb(word)).count(), 1);
     }

@@ -59,7 +59,10 @@ pub(crate) fn find_upward_dependencies(root: &Path) -> Result<Vec<String>> {
             }
         }
     }
-    Ok(manifests.iter().flat_map(|(name, text)| find_upward_in_manifest(name, text)).collect())
+    Ok(manifests
+        .iter()
+        .flat_map(|(name, text)| find_upward_dependencies_in_manifest(name, text))
+        .collect())
 }
 
 /// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`LAYERS`] does not name: their
@@ -90,7 +93,7 @@ fn layer_index(name: &str) -> Option<usize> {
     LAYERS.iter().position(|(_, names)| names.contains(&name))
 }
 
-fn find_upward_in_manifest(name: &str, manifest: &str) -> Vec<String> {
+fn find_upward_dependencies_in_manifest(name: &str, manifest: &str) -> Vec<String> {
     let mut is_counted = false;
     let mut found = Vec::new();
     for line in manifest.lines().map(str::trim) {
@@ -118,8 +121,11 @@ mod tests {
         let manifest = "[dependencies]\ntrueup-core.workspace = true\n\
                         [target.'cfg(unix)'.dependencies]\ntrueup-emulator = { workspace = true }\n\
                         [dev-dependencies]\ntrueup-twin.workspace = true\n";
-        assert_eq!(find_upward_in_manifest("cli", manifest), ["cli -> emulator (bench)"]);
-        assert!(find_upward_in_manifest("emulator", manifest).is_empty());
+        assert_eq!(
+            find_upward_dependencies_in_manifest("cli", manifest),
+            ["cli -> emulator (bench)"]
+        );
+        assert!(find_upward_dependencies_in_manifest("emulator", manifest).is_empty());
     }
 
     #[test]

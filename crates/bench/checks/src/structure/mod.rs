@@ -26,7 +26,7 @@ use std::{collections::BTreeMap, fmt::Write as _, fs, path::Path};
 
 use anyhow::{Result, ensure};
 
-use language::{LanguageReport, MAX_FREQUENCY, MIN_VERB_PERCENT};
+use language::{LanguageReport, MAX_OCCURRENCES_PER_10_000_WORDS, MIN_VERB_FIRST_DOC_PERCENT};
 use source::SourceFile;
 
 /// Lines that a source file may have, its tests included.
@@ -100,7 +100,7 @@ const LIMITS: CountLimits = CountLimits {
 const TARGET_CODE_LINES: usize = 110_000;
 
 /// How many files with the most counted words, and names with the most meanings, are listed.
-const MAX_LISTED: usize = 8;
+const MAX_LISTED_ENTRIES: usize = 8;
 
 /// What was found, as text, and the counts above their limit.
 #[derive(Default)]
@@ -133,7 +133,7 @@ impl CountReport {
 ///
 /// # Errors
 /// A count is above its limit (the error has the whole report), or a file cannot be read.
-pub fn check(root: &Path) -> Result<String> {
+pub fn check_structure(root: &Path) -> Result<String> {
     let sources = source::read_sources(root)?;
     let circles = dependency_cycles::find_cycles(&sources);
     let long: Vec<&SourceFile> = sources
@@ -171,7 +171,7 @@ pub fn check(root: &Path) -> Result<String> {
     let what = format!("public items that nothing outside their crate names, of {}", public.all);
     for (what, found, limit) in [
         ("arrows up", layers::find_upward_dependencies(root)?, LIMITS.arrows),
-        ("names used behind a wall", walls::find_wall_breaches(&sources), LIMITS.breaches),
+        ("names used behind a wall", walls::find_forbidden_uses(&sources), LIMITS.breaches),
         ("crates without a layer", layers::crates_without_layer(root)?, LIMITS.strangers),
         (
             "files that the format check does not see",
@@ -198,7 +198,7 @@ pub fn check(root: &Path) -> Result<String> {
     let ambiguous = type_names::find_ambiguous_names(&sources);
     let what = "names of types with more than two definitions outside tests";
     report.write_count(what, ambiguous.len(), LIMITS.ambiguous)?;
-    for name in ambiguous.iter().take(MAX_LISTED) {
+    for name in ambiguous.iter().take(MAX_LISTED_ENTRIES) {
         writeln!(report.text, "    {name}")?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
@@ -210,7 +210,7 @@ pub fn check(root: &Path) -> Result<String> {
     let what =
         format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
     report.write_count(&what, thresholds.decide.len(), LIMITS.thresholds)?;
-    let language = language::count_words(root, &sources)?;
+    let language = language::analyse_language(root, &sources)?;
     for (what, found, limit) in [
         ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
         ("phrases that have a term of the trade", &language.phrases, LIMITS.phrases),
@@ -222,7 +222,7 @@ pub fn check(root: &Path) -> Result<String> {
     }
     let CountReport { mut text, mut over } = report;
     write_lines_by_crate(&mut text, &sources)?;
-    over.extend(write_language(&mut text, &language)?);
+    over.extend(write_language_report(&mut text, &language)?);
     ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
     Ok(text)
 }
@@ -261,20 +261,24 @@ fn write_module_cycles(report: &mut CountReport, sources: &[SourceFile]) -> Resu
     let crates = module_cycles::find_module_cycles(sources);
     let above = crates.iter().filter(|found| found.is_above_limit()).count();
     report.write_count("crates with more modules in circles than they may have", above, 0)?;
-    for line in crates.iter().flat_map(module_cycles::ModuleCycles::lines) {
+    for line in crates.iter().flat_map(module_cycles::ModuleCycles::format_lines) {
         writeln!(report.text, "    {line}")?;
     }
     Ok(())
 }
 
 /// Writes how frequent the counted words are, and where most of them stand. Returns which of them are beyond their limit.
-fn write_language(text: &mut String, language: &LanguageReport) -> Result<Vec<String>> {
+fn write_language_report(text: &mut String, language: &LanguageReport) -> Result<Vec<String>> {
     let mut over = Vec::new();
-    writeln!(text, "words per 10,000 of {} (at most {MAX_FREQUENCY} each)", language.words)?;
+    writeln!(
+        text,
+        "words per 10,000 of {} (at most {MAX_OCCURRENCES_PER_10_000_WORDS} each)",
+        language.words
+    )?;
     for (what, count) in &language.counts {
-        let frequency = language.frequency(*count);
+        let frequency = language.per_10_000_words(*count);
         writeln!(text, "    {frequency:5.1}  {what}")?;
-        if frequency > MAX_FREQUENCY {
+        if frequency > MAX_OCCURRENCES_PER_10_000_WORDS {
             over.push((*what).to_owned());
         }
     }
@@ -282,13 +286,13 @@ fn write_language(text: &mut String, language: &LanguageReport) -> Result<Vec<St
     let share = 100.0 * with_verb as f64 / all.max(1) as f64;
     writeln!(
         text,
-        "doc comments of functions that begin with a verb: {share:.0} % of {all} (at least {MIN_VERB_PERCENT} %)"
+        "doc comments of functions that begin with a verb: {share:.0} % of {all} (at least {MIN_VERB_FIRST_DOC_PERCENT} %)"
     )?;
-    if share < MIN_VERB_PERCENT {
+    if share < MIN_VERB_FIRST_DOC_PERCENT {
         over.push("doc comments of functions that begin with a verb, below their limit".to_owned());
     }
     writeln!(text, "most of these words:")?;
-    for (file, count) in language.files.iter().take(MAX_LISTED) {
+    for (file, count) in language.files.iter().take(MAX_LISTED_ENTRIES) {
         writeln!(text, "    {count:5}  {file}")?;
     }
     Ok(over)

@@ -12,7 +12,7 @@ use super::{
 };
 
 /// The crates that may have modules in circles, and how many. No other may have any.
-const ALLOWED: &[(&str, usize)] =
+const MAX_MODULES_IN_CYCLES_BY_CRATE: &[(&str, usize)] =
     &[("crates/analysis/diagnose", 2), ("crates/board/core", 2), ("crates/board/link", 3)];
 
 /// The modules of one crate that need each other.
@@ -32,12 +32,13 @@ impl ModuleCycles {
     }
 
     fn limit(&self) -> usize {
-        let allowed = ALLOWED.iter().find(|(package, _)| *package == self.package);
+        let allowed =
+            MAX_MODULES_IN_CYCLES_BY_CRATE.iter().find(|(package, _)| *package == self.package);
         allowed.map_or(0, |(_, limit)| *limit)
     }
 
     /// Returns `crate: modules`, and below it each use if the crate is above its limit.
-    pub(super) fn lines(&self) -> Vec<String> {
+    pub(super) fn format_lines(&self) -> Vec<String> {
         let modules: Vec<&str> = self.modules.iter().map(String::as_str).collect();
         let (count, limit) = (modules.len(), self.limit());
         let mut lines =
@@ -88,7 +89,7 @@ fn cycles_of_crate(package: &str, files: &CrateModules<'_>) -> Option<ModuleCycl
                 && first != second
                 && need_each_other(first, second)
             {
-                uses.push(format!("{}:{line} -> {}", files.path(from), files.path(to)));
+                uses.push(format!("{}:{line} -> {}", files.file_path(from), files.file_path(to)));
             }
         }
     }
@@ -141,7 +142,7 @@ mod tests {
             "    crates/x/src/a/high.rs:1 -> crates/x/src/b.rs",
             "    crates/x/src/b.rs:1 -> crates/x/src/a/low.rs",
         ];
-        assert_eq!(found[0].lines(), lines);
+        assert_eq!(found[0].format_lines(), lines);
     }
 
     #[test]
@@ -159,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_crate_may_have_as_many_as_are_listed_and_no_more() {
-        let (package, limit) = ALLOWED[0];
+        let (package, limit) = MAX_MODULES_IN_CYCLES_BY_CRATE[0];
         let with = |count: usize| {
             let names = ["a", "b", "c", "d"];
             let names = &names[..count];
@@ -175,7 +176,7 @@ mod tests {
             cycles(&files).remove(0)
         };
         assert!(!with(limit).is_above_limit());
-        assert_eq!(with(limit).lines().len(), 1);
+        assert_eq!(with(limit).format_lines().len(), 1);
         assert!(with(limit + 1).is_above_limit());
     }
 }

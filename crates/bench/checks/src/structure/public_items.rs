@@ -234,7 +234,7 @@ struct PublicItem {
 
 fn public_items(source: &SourceFile) -> Vec<PublicItem> {
     let code = &source.code;
-    let private = private_modules(code);
+    let private = private_module_ranges(code);
     let mut found = Vec::new();
     for (at, _) in code.match_indices("pub ") {
         let is_end_of_name =
@@ -275,7 +275,7 @@ fn public_items(source: &SourceFile) -> Vec<PublicItem> {
 }
 
 /// Returns where the modules are that a file has in itself and for itself.
-fn private_modules(code: &str) -> Vec<Range<usize>> {
+fn private_module_ranges(code: &str) -> Vec<Range<usize>> {
     let is_private =
         |at: usize| code[..at].rsplit('\n').next().is_some_and(|part| part.trim().is_empty());
     let starts = code.match_indices("mod ").map(|(at, _)| at).filter(|at| is_private(*at));

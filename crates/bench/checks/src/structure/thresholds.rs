@@ -13,7 +13,7 @@ const DIAGNOSE_SOURCE: &str = "crates/analysis/diagnose/src/";
 const LOCATION_COLUMN: usize = 3;
 
 /// The named numbers of the finder.
-pub(crate) struct Thresholds {
+pub(crate) struct ThresholdReport {
     /// `file:name` of those that decide.
     pub decide: BTreeSet<String>,
     /// How many others there are.
@@ -23,10 +23,10 @@ pub(crate) struct Thresholds {
 }
 
 /// Counts the named numbers of `sources` that the `table` names, and the others.
-pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> Thresholds {
+pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> ThresholdReport {
     let is_finder = |file: &&SourceFile| file.path.starts_with(DIAGNOSE_SOURCE) && !file.is_test();
     let finder: Vec<&SourceFile> = sources.iter().filter(is_finder).collect();
-    let mut found = Thresholds { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
+    let mut found = ThresholdReport { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
     let mut file = String::new();
     for (number, row) in table.lines().enumerate() {
         let Some(cell) = row.split('|').nth(LOCATION_COLUMN) else { continue };

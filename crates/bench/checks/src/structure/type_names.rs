@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use super::{names::declared_names, source::SourceFile};
 
 /// Types of one name that a reader may have to tell apart.
-const MAX_DEFINITIONS: usize = 2;
+const MAX_DEFINITIONS_PER_NAME: usize = 2;
 /// The words that declare a type.
 const TYPE_KEYWORDS: [&str; 5] = ["struct", "enum", "union", "trait", "type"];
 
-/// Returns `name: number of definitions, their places` of each name with more than [`MAX_DEFINITIONS`] outside tests,
+/// Returns `name: number of definitions, their places` of each name with more than [`MAX_DEFINITIONS_PER_NAME`] outside tests,
 /// those with the most first.
 pub(super) fn find_ambiguous_names(sources: &[SourceFile]) -> Vec<String> {
     let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -23,7 +23,7 @@ pub(super) fn find_ambiguous_names(sources: &[SourceFile]) -> Vec<String> {
         }
     }
     let mut found: Vec<_> =
-        places.into_iter().filter(|(_, places)| places.len() > MAX_DEFINITIONS).collect();
+        places.into_iter().filter(|(_, places)| places.len() > MAX_DEFINITIONS_PER_NAME).collect();
     found.sort_by_key(|(_, places)| std::cmp::Reverse(places.len()));
     let describe = |(name, places): (String, Vec<String>)| {
         format!("{name}: {}, {}", places.len(), places.join(", "))

@@ -6,23 +6,23 @@
 use super::source::{SourceFile, contains_word};
 
 /// The drawing of cases.
-const CAMPAIGNS: &str = "crates/bench/campaigns/src/";
+const CAMPAIGNS_SOURCE: &str = "crates/bench/campaigns/src/";
 /// The virtual machine tool.
-const TWIN: &str = "crates/tool/twin/src/";
+const TWIN_SOURCE: &str = "crates/tool/twin/src/";
 /// The part of [`CAMPAIGNS`] that scores answers.
-const SCORE: &str = "crates/bench/campaigns/src/score/";
+const SCORE_SOURCE: &str = "crates/bench/campaigns/src/score/";
 
 /// The folder of a wall, a name that its code may not use, and the files or folders in it that may.
-const WALLS: &[(&str, &str, &[&str])] = &[
-    (TWIN, "trueup_machine", &[]),
-    (TWIN, "trueup_diagnose", &[]),
-    (CAMPAIGNS, "trueup_diagnose", &[SCORE]),
-    (CAMPAIGNS, "score", &[SCORE, "crates/bench/campaigns/src/lib.rs"]),
+const FORBIDDEN_USES: &[(&str, &str, &[&str])] = &[
+    (TWIN_SOURCE, "trueup_machine", &[]),
+    (TWIN_SOURCE, "trueup_diagnose", &[]),
+    (CAMPAIGNS_SOURCE, "trueup_diagnose", &[SCORE_SOURCE]),
+    (CAMPAIGNS_SOURCE, "score", &[SCORE_SOURCE, "crates/bench/campaigns/src/lib.rs"]),
     (
-        CAMPAIGNS,
+        CAMPAIGNS_SOURCE,
         "trueup_machine",
         &[
-            SCORE,
+            SCORE_SOURCE,
             "crates/bench/campaigns/src/faulty_machine/",
             "crates/bench/campaigns/src/run_table.rs",
         ],
@@ -30,9 +30,9 @@ const WALLS: &[(&str, &str, &[&str])] = &[
 ];
 
 /// Returns the places that use a name behind a wall, as `file:line: name`.
-pub(crate) fn find_wall_breaches(sources: &[SourceFile]) -> Vec<String> {
+pub(crate) fn find_forbidden_uses(sources: &[SourceFile]) -> Vec<String> {
     let mut found = Vec::new();
-    for (folder, name, exceptions) in WALLS {
+    for (folder, name, exceptions) in FORBIDDEN_USES {
         let is_behind = |source: &&SourceFile| {
             source.path.starts_with(folder)
                 && !exceptions.iter().any(|path| source.path.starts_with(path))
@@ -53,7 +53,7 @@ mod tests {
     #[test]
     fn only_the_score_knows_the_diagnosis() {
         let text = "//! [`trueup_diagnose`]\nuse trueup_diagnose::Report;\n";
-        let found = find_wall_breaches(&[
+        let found = find_forbidden_uses(&[
             SourceFile::new("crates/bench/campaigns/src/score/key.rs", text),
             SourceFile::new("crates/bench/campaigns/src/physical/plant.rs", text),
             SourceFile::new("crates/bench/campaigns/examples/year.rs", text),
@@ -67,6 +67,9 @@ mod tests {
             "crates/bench/campaigns/src/month.rs",
             "use crate::score::key::AnswerKey;\nlet scored = 1;\n",
         );
-        assert_eq!(find_wall_breaches(&[source]), ["crates/bench/campaigns/src/month.rs:1: score"]);
+        assert_eq!(
+            find_forbidden_uses(&[source]),
+            ["crates/bench/campaigns/src/month.rs:1: score"]
+        );
     }
 }

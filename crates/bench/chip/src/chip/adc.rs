@@ -111,13 +111,13 @@ pub struct Adcs {
 }
 
 impl Chip {
-    pub(crate) fn adc_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_adc_register(&mut self, off: u32) -> u32 {
         if off >= COMMON_OFFSET {
             return match off {
                 CSR_OFFSET => (0..3).map(|n| (self.adc.unit[n].sr & SR_MASK) << (8 * n)).sum(),
                 CCR_OFFSET => self.adc.ccr,
                 CDR_OFFSET => 0,
-                _ => self.adc_report_unknown_register(off, "read"),
+                _ => self.report_unknown_adc_register(off, "read"),
             };
         }
         let adc = &mut self.adc.unit[off as usize >> UNIT_SHIFT];
@@ -138,19 +138,19 @@ impl Chip {
                 adc.unread = false;
                 adc.dr
             }
-            _ => self.adc_report_unknown_register(off, "read"),
+            _ => self.report_unknown_adc_register(off, "read"),
         }
     }
 
-    fn adc_report_unknown_register(&mut self, off: u32, what: &str) -> u32 {
+    fn report_unknown_adc_register(&mut self, off: u32, what: &str) -> u32 {
         self.record_finding(Severity::Unmodelled, format!("ADC {what} at {off:#x}"));
         0
     }
 
-    pub(crate) fn adc_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_adc_register(&mut self, off: u32, v: u32) {
         let n = off as usize >> UNIT_SHIFT;
         match off {
-            CCR_OFFSET => return self.adc_write_ccr(v),
+            CCR_OFFSET => return self.write_adc_ccr(v),
             CSR_OFFSET | CDR_OFFSET => {
                 return self
                     .report_violation(format!("ADC: read-only register at {off:#x} written"));
@@ -173,7 +173,7 @@ impl Chip {
                 let old = self.adc.unit[n].cr1;
                 self.adc.unit[n].cr1 = self.apply_write_mask(&of("CR1"), old, v, CR1_WRITE_MASK);
             }
-            CR2_OFFSET => self.adc_write_cr2(n, v),
+            CR2_OFFSET => self.write_adc_cr2(n, v),
             SMPR1_OFFSET => {
                 let old = self.adc.unit[n].smpr[0];
                 self.adc.unit[n].smpr[0] =
@@ -201,7 +201,7 @@ impl Chip {
         }
     }
 
-    fn adc_write_cr2(&mut self, n: usize, v: u32) {
+    fn write_adc_cr2(&mut self, n: usize, v: u32) {
         let name = format!("ADC{}_CR2", n + 1);
         let old = self.adc.unit[n].cr2;
         // SWSTART and JSWSTART are gone once the conversion begins.
@@ -217,17 +217,17 @@ impl Chip {
         }
         if v & !old & CR2_ADON != 0 {
             adc.on_at = self.now;
-            self.adc_check_clock();
+            self.check_adc_clock();
         }
         if v & CR2_SWSTART != 0 {
-            self.adc_start(n);
+            self.start_adc_regular_sequence(n);
         }
         if v & CR2_JSWSTART != 0 {
-            self.adc_start_injected(n);
+            self.start_adc_injected_sequence(n);
         }
     }
 
-    fn adc_write_ccr(&mut self, v: u32) {
+    fn write_adc_ccr(&mut self, v: u32) {
         let old = self.adc.ccr;
         self.adc.ccr = self.apply_write_mask("ADC_CCR", old, v, CCR_WRITE_MASK);
         if v & !old & CCR_TSVREFE != 0 {
@@ -242,8 +242,8 @@ impl Chip {
     }
 
     /// DS8626, ADC characteristics: 0.6 to 36 MHz with 2.4 to 3.6 V.
-    fn adc_check_clock(&mut self) {
-        let hz = TICKS_PER_SECOND / self.adc_clock_ticks();
+    fn check_adc_clock(&mut self) {
+        let hz = TICKS_PER_SECOND / self.adcclk_period_ticks();
         if hz > 36_000_000 {
             self.report_violation(format!("ADC clock {hz} Hz, at most 36 MHz"));
         }

@@ -17,16 +17,16 @@ use registers::*;
 /// DS8626, LSE oscillator characteristics: start-up time, typical.
 const LSE_STARTUP_TICKS: u64 = ms_to_ticks(2_000);
 /// The manuals give no time for the regulator: BRR just has to be waited for.
-const REGULATOR_STARTUP_TICKS: u64 = us_to_ticks(40);
+const BACKUP_REGULATOR_STARTUP_TICKS: u64 = us_to_ticks(40);
 /// Words of the backup SRAM (2.3, table 1).
 const BACKUP_SRAM_WORDS: usize = 1024;
 
 /// Start value of the random numbers that the backup SRAM holds after the first power-on.
-const SRAM_NOISE_SEED: u32 = 0x9e37_79b9;
+const BACKUP_SRAM_FILL_SEED: u32 = 0x9e37_79b9;
 
 /// The backup domain, which VBAT supplies.
 #[derive(Debug)]
-pub struct BackupRegisters {
+pub struct BackupDomain {
     pub(crate) bdcr: u32,
     /// When the 32 kHz oscillator says that it swings; NEVER: it is off, or dead.
     lse_at: u64,
@@ -38,13 +38,13 @@ pub struct BackupRegisters {
     pub(crate) rtc: Rtc,
 }
 
-impl Default for BackupRegisters {
+impl Default for BackupDomain {
     /// As after the first power-on: the SRAM holds anything.
-    fn default() -> BackupRegisters {
-        let mut seed = SRAM_NOISE_SEED;
+    fn default() -> BackupDomain {
+        let mut seed = BACKUP_SRAM_FILL_SEED;
         let sram = (0..BACKUP_SRAM_WORDS).map(|_| next_random_word(&mut seed)).collect();
         let (lse_at, regulator_at) = (NEVER, NEVER);
-        BackupRegisters { bdcr: 0, lse_at, again_at: 0, regulator_at, sram, rtc: Rtc::default() }
+        BackupDomain { bdcr: 0, lse_at, again_at: 0, regulator_at, sram, rtc: Rtc::default() }
     }
 }
 
@@ -69,7 +69,7 @@ impl Chip {
     }
 
     /// Ticks in a cycle of RTCCLK; `None`: it stands.
-    pub(crate) fn rtc_clock_ticks(&self) -> Option<u64> {
+    pub(crate) fn rtcclk_period_ticks(&self) -> Option<u64> {
         let hz = match self.backup.bdcr & (BDCR_RTCSEL | BDCR_RTCEN) {
             n if n & BDCR_RTCEN == 0 => return None,
             n if n & BDCR_RTCSEL == BDCR_RTCSEL_LSE => {
@@ -83,15 +83,15 @@ impl Chip {
         Some(TICKS_PER_SECOND / hz)
     }
 
-    pub(crate) fn bdcr_read(&self) -> u32 {
+    pub(crate) fn read_bdcr(&self) -> u32 {
         self.backup.bdcr | u32::from(self.backup.lse_at <= self.now) << BDCR_LSERDY_SHIFT
     }
 
-    pub(crate) fn bdcr_write(&mut self, v: u32) {
+    pub(crate) fn write_bdcr(&mut self, v: u32) {
         if !self.is_backup_writable("RCC_BDCR") {
             return;
         }
-        self.rtc_update();
+        self.update_rtc_calendar();
         let old = self.backup.bdcr;
         if v & BDCR_BDRST != 0 {
             // 7.1.3: the registers of the RTC, this one, and BRE of PWR_CSR; the SRAM stays.
@@ -129,7 +129,7 @@ impl Chip {
         self.backup.bdcr = v;
     }
 
-    pub(crate) fn pwr_csr_read(&self) -> u32 {
+    pub(crate) fn read_pwr_csr(&self) -> u32 {
         let on = self.backup.regulator_at != NEVER;
         let ready = self.backup.regulator_at <= self.now;
         self.pwr_cr & PWR_CSR_VOSRDY
@@ -137,20 +137,20 @@ impl Chip {
             | u32::from(ready) << PWR_CSR_BRR_SHIFT
     }
 
-    pub(crate) fn pwr_csr_write(&mut self, v: u32) {
+    pub(crate) fn write_pwr_csr(&mut self, v: u32) {
         let on = self.backup.regulator_at != NEVER;
         if (v & PWR_CSR_BRE != 0) == on || !self.is_backup_writable("PWR_CSR.BRE") {
             return;
         }
         self.backup.regulator_at =
-            if v & PWR_CSR_BRE != 0 { self.now + REGULATOR_STARTUP_TICKS } else { NEVER };
+            if v & PWR_CSR_BRE != 0 { self.now + BACKUP_REGULATOR_STARTUP_TICKS } else { NEVER };
     }
 
-    pub(crate) fn backup_sram_read(&self, address: u32) -> u32 {
+    pub(crate) fn read_backup_sram(&self, address: u32) -> u32 {
         self.backup.sram[address as usize / 4 % BACKUP_SRAM_WORDS]
     }
 
-    pub(crate) fn backup_sram_write(&mut self, address: u32, v: u32) {
+    pub(crate) fn write_backup_sram(&mut self, address: u32, v: u32) {
         if self.is_backup_writable("backup SRAM") {
             self.backup.sram[address as usize / 4 % BACKUP_SRAM_WORDS] = v;
         }
@@ -164,8 +164,8 @@ impl Chip {
     }
 
     /// The supply is gone for this many seconds; what VBAT holds goes on (5.1.2).
-    pub(crate) fn backup_power_off(&mut self, seconds: u64) {
-        self.rtc_update();
+    pub(crate) fn apply_power_loss_to_backup_domain(&mut self, seconds: u64) {
+        self.update_rtc_calendar();
         let is_ready = self.backup.regulator_at <= self.now;
         if !is_ready || !self.world.battery {
             let mut seed = self.now as u32;
@@ -173,12 +173,13 @@ impl Chip {
         }
         if !self.world.battery {
             let sram = std::mem::take(&mut self.backup.sram);
-            self.backup = BackupRegisters { sram, ..BackupRegisters::default() };
+            self.backup = BackupDomain { sram, ..BackupDomain::default() };
             return;
         }
         // The internal oscillator has no VBAT.
-        if self.backup.bdcr & BDCR_RTCSEL == BDCR_RTCSEL_LSE && self.rtc_clock_ticks().is_some() {
-            self.rtc_advance(seconds * TICKS_PER_SECOND);
+        if self.backup.bdcr & BDCR_RTCSEL == BDCR_RTCSEL_LSE && self.rtcclk_period_ticks().is_some()
+        {
+            self.advance_rtc(seconds * TICKS_PER_SECOND);
         }
     }
 
@@ -190,7 +191,7 @@ impl Chip {
     /// The 32 kHz crystal stops, or is there again and has to start. Its flag stays: what would clear it needs its own
     /// cycles (7.3.20, LSERDY).
     pub fn set_lse_running(&mut self, runs: bool) {
-        self.rtc_update();
+        self.update_rtc_calendar();
         if runs && self.faults.lse_dead {
             self.backup.again_at = self.now + LSE_STARTUP_TICKS;
         }
@@ -198,6 +199,6 @@ impl Chip {
         if runs && self.backup.bdcr & BDCR_LSEON != 0 && self.backup.lse_at == NEVER {
             self.backup.lse_at = self.now + LSE_STARTUP_TICKS;
         }
-        self.rtc_update();
+        self.update_rtc_calendar();
     }
 }

@@ -121,7 +121,7 @@ impl Chip {
         }
         match addr {
             // RM0090 2.1.11: an APB bridge repeats a narrow write in all lanes.
-            PERIPHERAL_BASE..=APB_END => {
+            PERIPHERAL_BASE..=APB_LAST => {
                 let v = if size == 1 { v * BYTE_LANES } else { v * HALF_WORD_LANES };
                 // Half-words are allowed in the SPI, the USART, the timers and the watchdog.
                 let narrow_ok = matches!(
@@ -155,29 +155,29 @@ impl Chip {
     pub(crate) fn read_register(&mut self, a: u32) -> u32 {
         let off = a & UNIT_OFFSET_MASK;
         match a & !UNIT_OFFSET_MASK {
-            RCC_BASE => self.rcc_read(off),
-            FLASH_INTERFACE_BASE => self.flash_read(off),
-            CRC_BASE => self.crc_read(off),
+            RCC_BASE => self.read_rcc_register(off),
+            FLASH_INTERFACE_BASE => self.read_flash_register(off),
+            CRC_BASE => self.read_crc_register(off),
             PWR_BASE => match off {
                 PWR_CR_OFFSET => self.pwr_cr,
-                PWR_CSR_OFFSET => self.pwr_csr_read(),
+                PWR_CSR_OFFSET => self.read_pwr_csr(),
                 _ => 0,
             },
             GPIOA_BASE..=GPIOI_BASE => {
-                self.gpio_read((a as usize - GPIOA_BASE as usize) / GPIO_STRIDE, off)
+                self.read_gpio_register((a as usize - GPIOA_BASE as usize) / GPIO_STRIDE, off)
             }
-            ADC1_BASE => self.adc_read(off),
-            DMA1_BASE => self.dma_read(0, off),
-            DMA2_BASE => self.dma_read(1, off),
-            CAN1_BASE => self.can_read(off),
-            USART1_BASE => self.uart_read(0, off),
-            USART3_BASE => self.uart_read(1, off),
-            SPI2_BASE => self.spi_read(off),
-            RTC_BASE => self.rtc_read(off),
-            BACKUP_SRAM_BASE..=BACKUP_SRAM_LAST_KILOBYTE => {
-                self.backup_sram_read(a & BACKUP_SRAM_OFFSET_MASK)
+            ADC1_BASE => self.read_adc_register(off),
+            DMA1_BASE => self.read_dma_register(0, off),
+            DMA2_BASE => self.read_dma_register(1, off),
+            CAN1_BASE => self.read_can_register(off),
+            USART1_BASE => self.read_uart_register(0, off),
+            USART3_BASE => self.read_uart_register(1, off),
+            SPI2_BASE => self.read_spi_register(off),
+            RTC_BASE => self.read_rtc_register(off),
+            BACKUP_SRAM_BASE..=BACKUP_SRAM_LAST_KILOBYTE_BASE => {
+                self.read_backup_sram(a & BACKUP_SRAM_OFFSET_MASK)
             }
-            TIM11_BASE => self.tim11_read(off),
+            TIM11_BASE => self.read_tim11_register(off),
             IWDG_BASE => match off {
                 iwdg::KR_OFFSET => 0,
                 iwdg::PR_OFFSET => self.iwdg.pr,
@@ -206,7 +206,7 @@ impl Chip {
             },
             base => {
                 if let Some(i) = self.tims.iter().position(|t| t.base == base) {
-                    return self.tim_read(i, off);
+                    return self.read_tim_register(i, off);
                 }
                 self.record_finding(Severity::Unmodelled, format!("read of {a:#010x}"));
                 0
@@ -217,9 +217,9 @@ impl Chip {
     pub(crate) fn write_register(&mut self, a: u32, v: u32) {
         let off = a & UNIT_OFFSET_MASK;
         match a & !UNIT_OFFSET_MASK {
-            RCC_BASE => self.rcc_write(off, v),
-            FLASH_INTERFACE_BASE => self.flash_write(off, v),
-            CRC_BASE => self.crc_write(off, v),
+            RCC_BASE => self.write_rcc_register(off, v),
+            FLASH_INTERFACE_BASE => self.write_flash_register(off, v),
+            CRC_BASE => self.write_crc_register(off, v),
             PWR_BASE => match off {
                 PWR_CR_OFFSET => {
                     // 5.1.3: VOS may be changed on the fly; what it must be depends on the clock.
@@ -231,25 +231,25 @@ impl Chip {
                     );
                     self.check_voltage_scale();
                 }
-                PWR_CSR_OFFSET => self.pwr_csr_write(v),
+                PWR_CSR_OFFSET => self.write_pwr_csr(v),
                 _ => self.report_violation(format!("PWR: write at {off:#x}")),
             },
             GPIOA_BASE..=GPIOI_BASE => {
-                self.gpio_write((a as usize - GPIOA_BASE as usize) / GPIO_STRIDE, off, v)
+                self.write_gpio_register((a as usize - GPIOA_BASE as usize) / GPIO_STRIDE, off, v)
             }
-            ADC1_BASE => self.adc_write(off, v),
-            DMA1_BASE => self.dma_write(0, off, v),
-            DMA2_BASE => self.dma_write(1, off, v),
-            CAN1_BASE => self.can_write(off, v),
-            USART1_BASE => self.uart_write(0, off, v),
-            USART3_BASE => self.uart_write(1, off, v),
-            SPI2_BASE => self.spi_write(off, v),
-            RTC_BASE => self.rtc_write(off, v),
-            BACKUP_SRAM_BASE..=BACKUP_SRAM_LAST_KILOBYTE => {
-                self.backup_sram_write(a & BACKUP_SRAM_OFFSET_MASK, v)
+            ADC1_BASE => self.write_adc_register(off, v),
+            DMA1_BASE => self.write_dma_register(0, off, v),
+            DMA2_BASE => self.write_dma_register(1, off, v),
+            CAN1_BASE => self.write_can_register(off, v),
+            USART1_BASE => self.write_uart_register(0, off, v),
+            USART3_BASE => self.write_uart_register(1, off, v),
+            SPI2_BASE => self.write_spi_register(off, v),
+            RTC_BASE => self.write_rtc_register(off, v),
+            BACKUP_SRAM_BASE..=BACKUP_SRAM_LAST_KILOBYTE_BASE => {
+                self.write_backup_sram(a & BACKUP_SRAM_OFFSET_MASK, v)
             }
-            TIM11_BASE => self.tim11_write(off, v),
-            IWDG_BASE => self.iwdg_write(off, v),
+            TIM11_BASE => self.write_tim11_register(off, v),
+            IWDG_BASE => self.write_iwdg_register(off, v),
             SYSCFG_BASE => {
                 if let Some(r) = self.syscfg.get_mut(off as usize / 4) {
                     *r = v;
@@ -270,7 +270,7 @@ impl Chip {
             }
             base => {
                 if let Some(i) = self.tims.iter().position(|t| t.base == base) {
-                    return self.tim_write(i, off, v);
+                    return self.write_tim_register(i, off, v);
                 }
                 self.record_finding(Severity::Unmodelled, format!("write of {v:#x} to {a:#010x}"));
             }

@@ -4,7 +4,7 @@ pub(super) mod registers;
 
 use super::Chip;
 use crate::{
-    frame::Frame,
+    frame::CanFrame,
     report::Severity,
     time::{NEVER, TICKS_PER_SECOND},
 };
@@ -24,12 +24,12 @@ pub(crate) struct Mailbox {
 }
 
 impl Mailbox {
-    pub(crate) fn frame(&self) -> Frame {
+    pub(crate) fn frame(&self) -> CanFrame {
         let ext = self.tir & IR_IDE != 0;
         let mut data = [0; 8];
         data[..4].copy_from_slice(&self.tdlr.to_le_bytes());
         data[4..].copy_from_slice(&self.tdhr.to_le_bytes());
-        Frame {
+        CanFrame {
             id: if ext { self.tir >> IR_EXID_SHIFT } else { self.tir >> IR_STID_SHIFT },
             ext,
             rtr: self.tir & IR_RTR != 0,
@@ -54,7 +54,7 @@ pub struct Can {
     pub(crate) erri: bool,
     pub(crate) mb: [Mailbox; 3],
     pub(crate) last_code: u32,
-    pub(crate) fifo: [VecDeque<(Frame, u32)>; 2],
+    pub(crate) fifo: [VecDeque<(CanFrame, u32)>; 2],
     pub(crate) full: [bool; 2],
     pub(crate) over: [bool; 2],
     pub(crate) ier: u32,
@@ -76,7 +76,7 @@ pub struct Can {
     pub mode_at: u64,
     /// When the frame on the bus ends; NEVER: the bus is idle.
     pub end_at: u64,
-    pub(crate) current: Option<(FrameSender, Frame)>,
+    pub(crate) current: Option<(FrameSender, CanFrame)>,
     pub(crate) orders: u64,
     /// Frames sent so far.
     pub sent: u64,
@@ -95,8 +95,8 @@ pub struct Can {
 }
 
 /// Pins that carry CAN1_TX and CAN1_RX by alternate function 9 (DS8626 table 9).
-pub(crate) const TX_PINS: &[(usize, u32)] = &[(0, 12), (1, 9), (3, 1)];
-pub(crate) const RX_PINS: &[(usize, u32)] = &[(0, 11), (1, 8), (3, 0)];
+pub(crate) const CAN1_TX_PINS: &[(usize, u32)] = &[(0, 12), (1, 9), (3, 1)];
+pub(crate) const CAN1_RX_PINS: &[(usize, u32)] = &[(0, 11), (1, 8), (3, 0)];
 
 impl Can {
     pub(crate) fn after_reset() -> Can {
@@ -152,7 +152,7 @@ impl Can {
 }
 
 impl Chip {
-    pub(crate) fn can_interrupt_lines(&self, want: &mut [bool; 82]) {
+    pub(crate) fn collect_can_interrupt_lines(&self, want: &mut [bool; 82]) {
         let c = &self.can;
         want[19] = c.ier & IER_TMEIE != 0 && c.mb.iter().any(|m| m.flags & TSR_RQCP != 0);
         for f in 0..2 {
@@ -164,12 +164,12 @@ impl Chip {
         want[22] = c.erri && c.ier & IER_ERRIE != 0;
     }
 
-    pub(crate) fn can_bit_ticks(&self) -> u64 {
+    pub(crate) fn can_bit_time_ticks(&self) -> u64 {
         let (brp, t1, t2) = self.can.bit_timing_quanta();
         self.pclk1 * brp * (1 + t1 + t2)
     }
 
-    pub(crate) fn can_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_can_register(&mut self, off: u32) -> u32 {
         let c = &mut self.can;
         match off {
             MCR_OFFSET => c.mcr,
@@ -233,15 +233,15 @@ impl Chip {
         }
     }
 
-    pub(crate) fn can_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_can_register(&mut self, off: u32, v: u32) {
         match off {
-            MCR_OFFSET => self.can_write_mcr(v),
+            MCR_OFFSET => self.write_can_mcr(v),
             MSR_OFFSET => {
                 if v & MSR_ERRI != 0 {
                     self.can.erri = false;
                 }
             }
-            TSR_OFFSET => self.can_write_tsr(v),
+            TSR_OFFSET => self.write_can_tsr(v),
             RF0R_OFFSET | RF1R_OFFSET => {
                 let f = (off as usize - RF0R_OFFSET as usize) / 4;
                 if v & RFR_FULL != 0 {
@@ -258,8 +258,8 @@ impl Chip {
                 self.can.ier = self.apply_write_mask("CAN_IER", self.can.ier, v, IER_WRITE_MASK)
             }
             ESR_OFFSET => self.can.lec = v >> ESR_LEC_SHIFT & ESR_LEC_MASK,
-            BTR_OFFSET => self.can_write_btr(v),
-            TI0R_OFFSET..=TDH2R_OFFSET => self.can_write_mailbox(off, v),
+            BTR_OFFSET => self.write_can_btr(v),
+            TI0R_OFFSET..=TDH2R_OFFSET => self.write_can_mailbox(off, v),
             FMR_OFFSET => self.can.fmr = v & FMR_WRITE_MASK | FMR_RESERVED,
             FM1R_OFFSET | FS1R_OFFSET | FFA1R_OFFSET if self.can.fmr & FMR_FINIT == 0 => self
                 .report_violation(format!(
@@ -284,7 +284,7 @@ impl Chip {
     }
 
     /// Writes CAN_MCR: mode requests and reset.
-    fn can_write_mcr(&mut self, v: u32) {
+    fn write_can_mcr(&mut self, v: u32) {
         let now = self.now;
         if v & MCR_RESET_BIT != 0 {
             self.can = Can::after_reset();
@@ -306,7 +306,7 @@ impl Chip {
     }
 
     /// Writes CAN_TSR: clears what is done and aborts what waits.
-    fn can_write_tsr(&mut self, v: u32) {
+    fn write_can_tsr(&mut self, v: u32) {
         for i in 0..3 {
             let f = v >> (TSR_MAILBOX_BITS * i);
             if f & TSR_RQCP != 0 {
@@ -320,17 +320,17 @@ impl Chip {
                 self.can.mb[i].flags = TSR_RQCP;
             }
         }
-        self.can_start_frame();
+        self.start_can_frame();
     }
 
     /// Writes CAN_BTR, and says which bit timing that is.
-    fn can_write_btr(&mut self, v: u32) {
+    fn write_can_btr(&mut self, v: u32) {
         if !self.can.inak {
             return self.report_violation("CAN_BTR written outside initialisation".into());
         }
         self.can.btr = self.apply_write_mask("CAN_BTR", self.can.btr, v, BTR_WRITE_MASK);
         let (brp, t1, t2) = self.can.bit_timing_quanta();
-        let hz = TICKS_PER_SECOND as f64 / self.can_bit_ticks() as f64;
+        let hz = TICKS_PER_SECOND as f64 / self.can_bit_time_ticks() as f64;
         let sjw = (v >> BTR_SJW_SHIFT & BTR_SJW_MASK) + 1;
         self.record_finding(
             Severity::Fact,
@@ -351,7 +351,7 @@ impl Chip {
     }
 
     /// Writes a register of a transmit mailbox.
-    fn can_write_mailbox(&mut self, off: u32, v: u32) {
+    fn write_can_mailbox(&mut self, off: u32, v: u32) {
         let now = self.now;
         let i = (off as usize - TI0R_OFFSET as usize) / MAILBOX_STRIDE;
         if self.can.mb[i].pending {
@@ -382,7 +382,7 @@ impl Chip {
                             "CAN: a frame asked for outside normal mode: it waits".into(),
                         );
                     }
-                    self.can_start_frame();
+                    self.start_can_frame();
                 }
             }
         }

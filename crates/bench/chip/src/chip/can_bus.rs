@@ -2,19 +2,19 @@
 
 use super::{
     Chip,
-    can::{FrameSender, RX_PINS, TX_PINS, registers::*},
+    can::{CAN1_RX_PINS, CAN1_TX_PINS, FrameSender, registers::*},
 };
 use crate::{
-    frame::Frame,
+    frame::CanFrame,
     report::Severity,
     time::{NEVER, TICKS_PER_SECOND, ms_to_ticks},
 };
 
 impl Chip {
-    pub(crate) fn can_update_mode(&mut self) {
+    pub(crate) fn update_can_mode(&mut self) {
         self.can.mode_at = NEVER;
         let (init, sleep) = (self.can.mcr & MCR_INRQ != 0, self.can.mcr & MCR_SLEEP != 0);
-        let listening = self.find_alternate_function(RX_PINS, 9).is_some()
+        let listening = self.find_pin_with_alternate_function(CAN1_RX_PINS, 9).is_some()
             || self.can.btr >> BTR_LBKM_BIT & 1 != 0;
         if self.faults.can_stuck && !init {
             // A dominant bus: 11 recessive bits never come.
@@ -39,12 +39,12 @@ impl Chip {
                     self.now as f64 / ms_to_ticks(1) as f64
                 ),
             );
-            self.can_start_frame();
+            self.start_can_frame();
         }
     }
 
     /// The bus is quiet again: what waited for recessive bits goes on.
-    pub(crate) fn can_bus_idle(&mut self) {
+    pub(crate) fn handle_can_bus_idle(&mut self) {
         let waits = self.can.boff || self.can.inak != (self.can.mcr & MCR_INRQ != 0);
         if waits && self.can.mode_at == NEVER {
             self.can.mode_at = self.now + self.recessive_wait_ticks();
@@ -53,11 +53,15 @@ impl Chip {
 
     /// Returns how long the bus must be recessive before the controller takes part in it.
     pub(crate) fn recessive_wait_ticks(&self) -> u64 {
-        if self.can.boff { 128 * 11 * self.can_bit_ticks() } else { 11 * self.can_bit_ticks() }
+        if self.can.boff {
+            128 * 11 * self.can_bit_time_ticks()
+        } else {
+            11 * self.can_bit_time_ticks()
+        }
     }
 
     /// Puts the next frame on the bus, if it is free and there is one.
-    pub(crate) fn can_start_frame(&mut self) {
+    pub(crate) fn start_can_frame(&mut self) {
         if self.can.end_at != NEVER {
             return;
         }
@@ -90,7 +94,7 @@ impl Chip {
         let bit = if sender == FrameSender::Cnc {
             TICKS_PER_SECOND / 1_000_000
         } else {
-            self.can_bit_ticks()
+            self.can_bit_time_ticks()
         };
         let len = frame.bit_length() * bit;
         self.can.current = Some((sender, frame));
@@ -98,7 +102,7 @@ impl Chip {
         self.can.busy += len;
     }
 
-    pub(crate) fn can_record_error(&mut self, lec: u32, tec: u32) {
+    pub(crate) fn record_can_error(&mut self, lec: u32, tec: u32) {
         let before = self.can.esr();
         self.can.lec = lec;
         self.can.tec += tec;
@@ -117,14 +121,14 @@ impl Chip {
         }
     }
 
-    pub(crate) fn can_end_frame(&mut self) {
+    pub(crate) fn end_can_frame(&mut self) {
         self.can.end_at = NEVER;
         let Some((sender, frame)) = self.can.current.take() else { return };
         match sender {
             FrameSender::Board(i) => {
-                let hz = TICKS_PER_SECOND as f64 / self.can_bit_ticks() as f64;
-                let pins = self.find_alternate_function(TX_PINS, 9).is_some()
-                    && self.find_alternate_function(RX_PINS, 9).is_some();
+                let hz = TICKS_PER_SECOND as f64 / self.can_bit_time_ticks() as f64;
+                let pins = self.find_pin_with_alternate_function(CAN1_TX_PINS, 9).is_some()
+                    && self.find_pin_with_alternate_function(CAN1_RX_PINS, 9).is_some();
                 let right = (hz - 1e6).abs() < 5e3;
                 if !pins {
                     self.report_violation("CAN: sends without both pins on AF9".into());
@@ -134,7 +138,7 @@ impl Chip {
                     // An error-passive node's count stays when nothing but the acknowledgement is missing.
                     let ack_only = !self.faults.can_short && pins;
                     let step = if ack_only && self.can.tec >= 128 { 0 } else { 8 };
-                    self.can_record_error(
+                    self.record_can_error(
                         if ack_only { LEC_ACKNOWLEDGEMENT } else { LEC_BIT_DOMINANT },
                         step,
                     );
@@ -149,7 +153,7 @@ impl Chip {
                     self.can.longest_wait = self.can.longest_wait.max(self.now - m.asked);
                     self.can.tec = self.can.tec.saturating_sub(1);
                     self.can.sent += 1;
-                    self.world.record_frame(self.now, frame);
+                    self.world.record_can_frame(self.now, frame);
                 }
             }
             FrameSender::Cnc => {
@@ -157,19 +161,20 @@ impl Chip {
                 if self.faults.can_short || self.faults.can_alone {
                     self.can.unheard += 1;
                 } else if self.can.is_in_normal_mode()
-                    && self.find_alternate_function(RX_PINS, 9).is_some()
-                    && (TICKS_PER_SECOND as f64 / self.can_bit_ticks() as f64 - 1e6).abs() < 5e3
+                    && self.find_pin_with_alternate_function(CAN1_RX_PINS, 9).is_some()
+                    && (TICKS_PER_SECOND as f64 / self.can_bit_time_ticks() as f64 - 1e6).abs()
+                        < 5e3
                 {
-                    self.can_receive_frame(frame);
+                    self.receive_can_frame(frame);
                 } else {
                     self.can.unheard += 1;
                 }
             }
         }
-        self.can_start_frame();
+        self.start_can_frame();
     }
 
-    pub(crate) fn can_receive_frame(&mut self, frame: Frame) {
+    pub(crate) fn receive_can_frame(&mut self, frame: CanFrame) {
         let word = (if frame.ext {
             frame.id << IR_EXID_SHIFT | IR_IDE
         } else {

@@ -62,23 +62,23 @@ impl Adc {
 
 impl Chip {
     /// Ticks in a cycle of the converters' clock.
-    pub(crate) fn adc_clock_ticks(&self) -> u64 {
+    pub(crate) fn adcclk_period_ticks(&self) -> u64 {
         self.pclk2 * u64::from(((self.adc.ccr >> CCR_ADCPRE_SHIFT & CCR_ADCPRE_MASK) + 1) * 2)
     }
 
     /// An event that may start a sequence.
-    pub(crate) fn adc_trigger(&mut self, sequence: ConversionGroup, source: u32) {
+    pub(crate) fn trigger_adc_sequences(&mut self, sequence: ConversionGroup, source: u32) {
         for n in 0..3 {
             if self.adc.unit[n].is_triggered_by(sequence, source) {
                 match sequence {
-                    ConversionGroup::Regular => self.adc_start(n),
-                    ConversionGroup::Injected => self.adc_start_injected(n),
+                    ConversionGroup::Regular => self.start_adc_regular_sequence(n),
+                    ConversionGroup::Injected => self.start_adc_injected_sequence(n),
                 }
             }
         }
     }
 
-    fn adc_is_ready(&mut self, n: usize) -> bool {
+    fn is_adc_ready(&mut self, n: usize) -> bool {
         let (on, since) = (self.adc.unit[n].cr2 & CR2_ADON != 0, self.adc.unit[n].on_at);
         if !on {
             self.report_violation(format!("ADC{}: triggered while it is off", n + 1));
@@ -89,8 +89,8 @@ impl Chip {
     }
 
     /// A regular sequence begins, or the next part of a discontinuous one (13.3.10).
-    pub(crate) fn adc_start(&mut self, n: usize) {
-        if !self.adc_is_ready(n) {
+    pub(crate) fn start_adc_regular_sequence(&mut self, n: usize) {
+        if !self.is_adc_ready(n) {
             return;
         }
         let adc = &mut self.adc.unit[n];
@@ -111,12 +111,12 @@ impl Chip {
             adc.rank = 0;
         }
         adc.sr |= SR_STRT;
-        self.adc_start_conversion(n);
+        self.start_adc_conversion(n);
     }
 
     /// An injected sequence begins. 13.3.9: it breaks off a regular conversion, which is then done again.
-    pub(crate) fn adc_start_injected(&mut self, n: usize) {
-        if !self.adc_is_ready(n) {
+    pub(crate) fn start_adc_injected_sequence(&mut self, n: usize) {
+        if !self.is_adc_ready(n) {
             return;
         }
         let adc = &mut self.adc.unit[n];
@@ -134,14 +134,14 @@ impl Chip {
         let adc = &mut self.adc.unit[n];
         (adc.injected, adc.injected_rank) = (true, 0);
         adc.sr |= SR_JSTRT;
-        self.adc_start_conversion(n);
+        self.start_adc_conversion(n);
     }
 
-    fn adc_start_conversion(&mut self, n: usize) {
+    fn start_adc_conversion(&mut self, n: usize) {
         let Conversion { channel, sampling, bits } = self.adc.unit[n].next_conversion();
-        let tick = self.adc_clock_ticks();
+        let tick = self.adcclk_period_ticks();
         self.adc.unit[n].end_at = self.now + (sampling + bits) * tick;
-        self.adc_check_channel(n, channel, sampling * tick);
+        self.check_adc_channel(n, channel, sampling * tick);
         if self.faults.adc_stalls > 0 && self.now >= self.faults.adc_stalls {
             self.faults.adc_stalls = 0;
             self.adc.unit[n].stalled = true;
@@ -158,7 +158,7 @@ impl Chip {
     }
 
     /// Whether the channel has something to convert.
-    fn adc_check_channel(&mut self, n: usize, channel: u32, sampling: u64) {
+    fn check_adc_channel(&mut self, n: usize, channel: u32, sampling: u64) {
         // DS8626, pin table: ADC1 and ADC2 share these pins; ADC3 has others on F.
         let pin = match channel {
             0..=7 => Some((0, channel)),
@@ -193,31 +193,35 @@ impl Chip {
     }
 
     /// A conversion ends.
-    pub(crate) fn adc_end_conversion(&mut self, n: usize) {
+    pub(crate) fn end_adc_conversion(&mut self, n: usize) {
         self.adc.unit[n].end_at = NEVER;
         let Conversion { channel, bits, .. } = self.adc.unit[n].next_conversion();
         let code = self.world.adc_code(channel, self.now) >> (12 - bits);
         let adc = &mut self.adc.unit[n];
         let code = if adc.cr2 & CR2_ALIGN != 0 { code << (16 - bits) } else { code };
-        if adc.injected { self.adc_end_injected(n, code) } else { self.adc_end_regular(n, code) }
+        if adc.injected {
+            self.end_adc_injected_conversion(n, code)
+        } else {
+            self.end_adc_regular_conversion(n, code)
+        }
     }
 
-    fn adc_end_injected(&mut self, n: usize, code: u32) {
+    fn end_adc_injected_conversion(&mut self, n: usize, code: u32) {
         let adc = &mut self.adc.unit[n];
         adc.jdr[adc.injected_rank as usize] = code;
         adc.injections += 1;
         if adc.injected_rank < adc.jsqr >> SEQUENCE_LENGTH_SHIFT & JSQR_JL_MASK {
             adc.injected_rank += 1;
-            return self.adc_start_conversion(n);
+            return self.start_adc_conversion(n);
         }
         adc.sr |= SR_JEOC;
         adc.injected = false;
         if std::mem::take(&mut adc.regular_waits) {
-            self.adc_start_conversion(n);
+            self.start_adc_conversion(n);
         }
     }
 
-    fn adc_end_regular(&mut self, n: usize, code: u32) {
+    fn end_adc_regular_conversion(&mut self, n: usize, code: u32) {
         let adc = &mut self.adc.unit[n];
         if adc.conversions == 0 {
             adc.first_at = self.now;
@@ -241,7 +245,7 @@ impl Chip {
             let streams = [[(0, 0), (4, 0)], [(2, 1), (3, 1)], [(0, 2), (1, 2)]][n];
             let done = streams
                 .into_iter()
-                .find_map(|(stream, channel)| self.dma_serve_request(1, stream, channel));
+                .find_map(|(stream, channel)| self.serve_dma_request(1, stream, channel));
             let adc = &mut self.adc.unit[n];
             if done == Some(true) && adc.cr2 & CR2_DDS == 0 {
                 adc.dma_over = true;
@@ -256,7 +260,7 @@ impl Chip {
             return self.record_finding(Severity::Unmodelled, text);
         }
         if (!last && !discontinuous) || (last && adc.cr2 & CR2_CONT != 0) {
-            self.adc_start_conversion(n);
+            self.start_adc_conversion(n);
         }
     }
 }

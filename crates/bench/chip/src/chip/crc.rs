@@ -21,7 +21,7 @@ impl Default for Crc {
 }
 
 impl Chip {
-    pub(crate) fn crc_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_crc_register(&mut self, off: u32) -> u32 {
         match off {
             DR_OFFSET if self.faults.crc_dead => 0,
             DR_OFFSET => self.crc.dr,
@@ -34,7 +34,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn crc_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_crc_register(&mut self, off: u32, v: u32) {
         match off {
             DR_OFFSET => {
                 self.crc.dr = (0..32).fold(self.crc.dr ^ v, |sum, _| {

@@ -45,28 +45,28 @@ impl Default for Dma {
 }
 
 /// Positions of the flags of four streams in a status register (10.5.1).
-const FLAG_SHIFTS: [u32; 4] = [0, 6, 16, 22];
+const STREAM_FLAG_SHIFTS: [u32; 4] = [0, 6, 16, 22];
 /// Interrupts of the streams of both controllers (table 62).
-const IRQ_NUMBERS: [[usize; 8]; 2] =
+const STREAM_IRQ_NUMBERS: [[usize; 8]; 2] =
     [[11, 12, 13, 14, 15, 16, 17, 47], [56, 57, 58, 59, 60, 68, 69, 70]];
 
 impl Chip {
-    pub(crate) fn dma_interrupt_lines(&self, want: &mut [bool; 82]) {
+    pub(crate) fn collect_dma_interrupt_lines(&self, want: &mut [bool; 82]) {
         for d in 0..2 {
             for n in 0..8 {
-                let f = self.dma[d].isr[n / 4] >> FLAG_SHIFTS[n % 4] & ISR_STREAM_MASK;
+                let f = self.dma[d].isr[n / 4] >> STREAM_FLAG_SHIFTS[n % 4] & ISR_STREAM_MASK;
                 let cr = self.dma[d].s[n].cr;
                 let on = (f & ISR_DMEIF != 0 && cr & CR_DMEIE != 0)
                     || (f & ISR_TEIF != 0 && cr & CR_TEIE != 0)
                     || (f & ISR_HTIF != 0 && cr & CR_HTIE != 0)
                     || (f & ISR_TCIF != 0 && cr & CR_TCIE != 0)
                     || (f & ISR_FEIF != 0 && self.dma[d].s[n].fcr & FCR_FEIE != 0);
-                want[IRQ_NUMBERS[d][n]] |= on;
+                want[STREAM_IRQ_NUMBERS[d][n]] |= on;
             }
         }
     }
 
-    pub(crate) fn dma_read(&mut self, d: usize, off: u32) -> u32 {
+    pub(crate) fn read_dma_register(&mut self, d: usize, off: u32) -> u32 {
         match off {
             LISR_OFFSET | HISR_OFFSET => self.dma[d].isr[off as usize / 4],
             LIFCR_OFFSET | HIFCR_OFFSET => 0,
@@ -79,7 +79,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn dma_write(&mut self, d: usize, off: u32, v: u32) {
+    pub(crate) fn write_dma_register(&mut self, d: usize, off: u32, v: u32) {
         let name = |n: usize| format!("DMA{} stream {n}", d + 1);
         match off {
             LISR_OFFSET | HISR_OFFSET => {
@@ -88,8 +88,9 @@ impl Chip {
             LIFCR_OFFSET | HIFCR_OFFSET => {
                 let i = (off as usize - LIFCR_OFFSET as usize) / 4;
                 for n in 4 * i..4 * i + 4 {
-                    if v & self.dma[d].isr[i] >> FLAG_SHIFTS[n % 4] << FLAG_SHIFTS[n % 4]
-                        & ISR_TCIF << FLAG_SHIFTS[n % 4]
+                    if v & self.dma[d].isr[i] >> STREAM_FLAG_SHIFTS[n % 4]
+                        << STREAM_FLAG_SHIFTS[n % 4]
+                        & ISR_TCIF << STREAM_FLAG_SHIFTS[n % 4]
                         != 0
                     {
                         let wait = self.now - self.dma[d].full_at[n];
@@ -126,13 +127,13 @@ impl Chip {
                         if v & CR_EN != 0 && !on {
                             s.left = s.ndtr;
                             s.at = 0;
-                            self.dma_start(d, n);
+                            self.start_dma_stream(d, n);
                             // Requests are levels: what waits is served at once.
                             self.request_uart_tx_dma();
                             self.request_uart_rx_dma();
                         } else if v & CR_EN == 0 && on {
                             // RM0090 10.3.14: switching a stream off ends it, and says so.
-                            self.dma[d].isr[n / 4] |= ISR_TCIF << FLAG_SHIFTS[n % 4];
+                            self.dma[d].isr[n / 4] |= ISR_TCIF << STREAM_FLAG_SHIFTS[n % 4];
                         }
                     }
                     1 | 2 if on => self.report_violation(format!(
@@ -166,10 +167,10 @@ impl Chip {
         }
     }
 
-    pub(crate) fn dma_start(&mut self, d: usize, n: usize) {
+    pub(crate) fn start_dma_stream(&mut self, d: usize, n: usize) {
         let s = self.dma[d].s[n];
         let name = format!("DMA{} stream {n}", d + 1);
-        if self.dma[d].isr[n / 4] >> FLAG_SHIFTS[n % 4] & ISR_STREAM_MASK != 0 {
+        if self.dma[d].isr[n / 4] >> STREAM_FLAG_SHIFTS[n % 4] & ISR_STREAM_MASK != 0 {
             self.report_violation(format!(
                 "{name}: switched on with flags of the last transfer still set"
             ));
@@ -224,13 +225,13 @@ impl Chip {
     }
 
     /// 10.3.18: a transfer error raises TEIF and switches the stream off.
-    pub(crate) fn dma_transfer_error(&mut self, d: usize, n: usize) {
-        self.dma[d].isr[n / 4] |= ISR_TEIF << FLAG_SHIFTS[n % 4];
+    pub(crate) fn raise_dma_transfer_error(&mut self, d: usize, n: usize) {
+        self.dma[d].isr[n / 4] |= ISR_TEIF << STREAM_FLAG_SHIFTS[n % 4];
         self.dma[d].s[n].cr &= !CR_EN;
     }
 
     /// Serves one request of a peripheral. Returns `None` if no stream listens, else whether it was the last item.
-    pub(crate) fn dma_serve_request(&mut self, d: usize, n: usize, channel: u32) -> Option<bool> {
+    pub(crate) fn serve_dma_request(&mut self, d: usize, n: usize, channel: u32) -> Option<bool> {
         let s = self.dma[d].s[n];
         if self.faults.serial_dma_stuck && (d, channel) == (1, 4) {
             return None;
@@ -254,7 +255,7 @@ impl Chip {
                 "DMA{} stream {n}: transfer error at {memory:#010x}",
                 d + 1
             ));
-            self.dma_transfer_error(d, n);
+            self.raise_dma_transfer_error(d, n);
             return Some(true);
         }
         match s.cr >> CR_DIR_SHIFT & CR_DIR_MASK {
@@ -288,13 +289,13 @@ impl Chip {
         let (left, all) = (s.left, s.ndtr);
         let flag = &mut self.dma[d].isr[n / 4];
         if left == all / 2 {
-            *flag |= ISR_HTIF << FLAG_SHIFTS[n % 4];
+            *flag |= ISR_HTIF << STREAM_FLAG_SHIFTS[n % 4];
         }
         if left > 0 {
             return Some(false);
         }
-        let before = *flag >> FLAG_SHIFTS[n % 4] & ISR_TCIF;
-        *flag |= ISR_TCIF << FLAG_SHIFTS[n % 4];
+        let before = *flag >> STREAM_FLAG_SHIFTS[n % 4] & ISR_TCIF;
+        *flag |= ISR_TCIF << STREAM_FLAG_SHIFTS[n % 4];
         self.dma[d].full_at[n] = self.now;
         let s = &mut self.dma[d].s[n];
         s.at = 0;

@@ -62,7 +62,7 @@ impl Chip {
                 self.record_finding(Severity::Fact, "upset: ADC1 is overrun".into());
             }
             // 10.3.18: a transfer error switches the stream off and raises TEIF.
-            "dma_error" => self.dma_transfer_error(1, hex(1) as usize),
+            "dma_error" => self.raise_dma_transfer_error(1, hex(1) as usize),
             // 30.3.3 and 30.6.1: a break is a frame of zeros with a framing error.
             "serial_error" | "modbus_error" => {
                 let (flags, byte) = match words[1].as_str() {

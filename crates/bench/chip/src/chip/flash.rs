@@ -2,7 +2,7 @@
 
 pub(super) mod registers;
 
-use super::{Chip, FLAG_PROGRAMMING, script_playback::RANDOM_MULTIPLIER};
+use super::{Chip, FLAG_PROGRAMMING_CHANGED, script_playback::RANDOM_MULTIPLIER};
 use crate::{
     report::Severity,
     time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
@@ -80,7 +80,7 @@ impl FlashModel {
 }
 
 impl Chip {
-    pub(crate) fn flash_check_latency(&mut self) {
+    pub(crate) fn check_flash_latency(&mut self) {
         let hz = TICKS_PER_SECOND / self.hclk;
         let need = (hz.div_ceil(30_000_000) - 1) as u32;
         if self.flash.acr & ACR_LATENCY_MASK < need {
@@ -98,7 +98,7 @@ impl Chip {
         self.shared.acr.store((writes + 1) << 32 | acr, Ordering::Relaxed);
     }
 
-    pub(crate) fn flash_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_flash_register(&mut self, off: u32) -> u32 {
         match off {
             ACR_OFFSET => self.flash.acr,
             SR_OFFSET => {
@@ -115,7 +115,7 @@ impl Chip {
     }
 
     /// Writes the access control register: wait states, prefetch and the caches.
-    fn flash_write_acr(&mut self, v: u32) {
+    fn write_flash_acr(&mut self, v: u32) {
         // RM0090 3.9.1: ICRST and DCRST only while their own cache is off.
         if (v & ACR_DCRST != 0 && self.flash.acr & ACR_DCEN != 0)
             || (v & ACR_ICRST != 0 && self.flash.acr & ACR_ICEN != 0)
@@ -144,12 +144,12 @@ impl Chip {
                 "flash: the data cache is on after an erase without having been reset".into(),
             );
         }
-        self.flash_check_latency();
+        self.check_flash_latency();
     }
 
-    pub(crate) fn flash_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_flash_register(&mut self, off: u32, v: u32) {
         match off {
-            ACR_OFFSET => self.flash_write_acr(v),
+            ACR_OFFSET => self.write_flash_acr(v),
             KEYR_OFFSET => {
                 if self.flash.dead || self.flash.cr >> CR_LOCK_BIT == 0 {
                     self.report_violation("FLASH_KEYR written while unlocked or dead".into());
@@ -195,7 +195,7 @@ impl Chip {
                         3 - (o >> OPTCR_BOR_LEV_SHIFT & OPTCR_BOR_LEV_MASK), if o & OPTCR_WDG_SW != 0 { "software" } else { "hardware" }, o >> OPTCR_RDP_SHIFT & OPTCR_RDP_MASK, !o >> OPTCR_NWRP_SHIFT & OPTCR_NWRP_MASK));
                     self.flash.stats.options += 1;
                     // Not in DS8626; an erase of a small sector is the nearest.
-                    self.flash_set_busy(ms_to_ticks(250));
+                    self.set_flash_busy(ms_to_ticks(250));
                 }
             }
             SR_OFFSET => self.flash.sr &= !(v & SR_CLEARED_BY_ONE),
@@ -209,24 +209,24 @@ impl Chip {
                     return;
                 }
                 self.flash.cr = self.apply_write_mask("FLASH_CR", self.flash.cr, v, CR_WRITE_MASK);
-                self.shared.flag.fetch_or(FLAG_PROGRAMMING, Ordering::Relaxed);
+                self.shared.flag.fetch_or(FLAG_PROGRAMMING_CHANGED, Ordering::Relaxed);
                 if v & CR_STRT != 0 {
                     self.flash.cr &= !CR_STRT;
-                    self.flash_erase();
+                    self.erase_flash();
                 }
             }
             _ => self.report_violation(format!("FLASH: write at {off:#x}")),
         }
     }
 
-    pub(crate) fn flash_set_busy(&mut self, ticks: u64) {
+    pub(crate) fn set_flash_busy(&mut self, ticks: u64) {
         self.flash.busy_until = self.now + ticks;
         self.flash.done_at = self.flash.busy_until;
         self.flash.stats.longest_stall = self.flash.stats.longest_stall.max(ticks);
         self.shared.stall.store(self.flash.busy_until, Ordering::Relaxed);
     }
 
-    pub(crate) fn flash_erase(&mut self) {
+    pub(crate) fn erase_flash(&mut self) {
         let cr = self.flash.cr;
         if self.flash.sr & SR_ERROR_MASK != 0 {
             return self.report_violation(format!(
@@ -273,7 +273,7 @@ impl Chip {
                         t as f64 / ms_to_ticks(1) as f64
                     ),
                 );
-                self.flash_set_busy(t);
+                self.set_flash_busy(t);
             }
             CR_MER => self.report_violation("flash: mass erase".into()),
             _ => self.report_violation(format!("flash: STRT with CR {cr:#x}")),
@@ -288,7 +288,7 @@ impl Chip {
     }
 
     /// A write of the processor into the array.
-    pub fn flash_program(&mut self, at: u32, bytes: &[u8]) {
+    pub fn program_flash(&mut self, at: u32, bytes: &[u8]) {
         let cr = self.flash.cr;
         if cr >> CR_LOCK_BIT != 0 || cr & CR_PG == 0 {
             self.flash.sr |= SR_PGSERR;
@@ -345,13 +345,13 @@ impl Chip {
         self.rom.write_at(u64::from(at), &new[..bytes.len()]).expect("in the flash");
         self.flash.stats.words += 1;
         // DS8626, flash memory programming, a word: 16 µs typical, 100 at most.
-        self.flash_set_busy(us_to_ticks(if self.world.slow_flash { 100 } else { 16 }));
+        self.set_flash_busy(us_to_ticks(if self.world.slow_flash { 100 } else { 16 }));
         self.on_flash_word_write();
     }
 
     /// A write to the array that nothing was set up for: RM0090 3.9.5, PGSERR. The firmware did not ask for
     /// it, so it is no violation of its own.
-    pub(crate) fn flash_stray_write(&mut self) {
+    pub(crate) fn report_stray_flash_write(&mut self) {
         self.flash.sr |= SR_PGSERR;
         self.record_finding(
             Severity::Fact,
@@ -360,7 +360,7 @@ impl Chip {
     }
 
     /// The supply goes: of a word in flight some bits are written, of a sector some words are erased.
-    pub(crate) fn flash_power_off(&mut self, seed: u64) {
+    pub(crate) fn interrupt_flash_operation(&mut self, seed: u64) {
         if self.flash.busy_until > self.now && !self.flash.before.1.is_empty() {
             let (at, old) = std::mem::take(&mut self.flash.before);
             let mut new = vec![0; old.len()];
@@ -375,7 +375,7 @@ impl Chip {
         self.shared.stall.store(0, Ordering::Relaxed);
     }
 
-    pub(crate) fn flash_operation_complete(&mut self) {
+    pub(crate) fn complete_flash_operation(&mut self) {
         self.flash.done_at = NEVER;
         if self.flash.cr & CR_EOPIE != 0 {
             self.flash.sr |= SR_EOP;

@@ -31,7 +31,7 @@ impl Chip {
             .then(|| self.gpio[port].afr[pin as usize / 8] >> (4 * (pin % 8)) & AF_FIELD_MASK)
     }
     /// Returns whether one of these pins carries that alternate function; which.
-    pub(crate) fn find_alternate_function(
+    pub(crate) fn find_pin_with_alternate_function(
         &self,
         pins: &[(usize, u32)],
         af: u32,
@@ -39,7 +39,7 @@ impl Chip {
         pins.iter().copied().find(|(p, n)| self.pin_alternate_function(*p, *n) == Some(af))
     }
 
-    pub(crate) fn gpio_read(&mut self, p: usize, off: u32) -> u32 {
+    pub(crate) fn read_gpio_register(&mut self, p: usize, off: u32) -> u32 {
         let g = &self.gpio[p];
         match off {
             MODER_OFFSET => g.moder,
@@ -76,7 +76,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn gpio_write(&mut self, p: usize, off: u32, v: u32) {
+    pub(crate) fn write_gpio_register(&mut self, p: usize, off: u32, v: u32) {
         let letter = (b'A' + p as u8) as char;
         let before = self.gpio[p].clone();
         let g = &mut self.gpio[p];

@@ -31,7 +31,7 @@ pub struct Iwdg {
 }
 
 impl Chip {
-    pub(crate) fn iwdg_reload(&mut self) {
+    pub(crate) fn reload_iwdg(&mut self) {
         let lsi = TICKS_PER_SECOND / self.world.lsi_hz;
         let period = lsi * (4 << self.iwdg.pr.min(6)) * u64::from(self.iwdg.count + 1);
         self.iwdg.expire = self.now + period;
@@ -50,7 +50,7 @@ impl Chip {
         );
     }
 
-    pub(crate) fn iwdg_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_iwdg_register(&mut self, off: u32, v: u32) {
         let busy = 5 * TICKS_PER_SECOND / self.world.lsi_hz;
         match (off, v) {
             (KR_OFFSET, KR_UNLOCK) => self.iwdg.unlocked = true,
@@ -59,7 +59,7 @@ impl Chip {
                 if !self.iwdg.running {
                     self.iwdg.running = true;
                     self.rcc.csr |= RCC_CSR_LSIRDY;
-                    self.iwdg_reload();
+                    self.reload_iwdg();
                 }
             }
             (KR_OFFSET, KR_RELOAD) => {
@@ -67,7 +67,7 @@ impl Chip {
                 // 21.3: only this loads it; a start alone counts from 0xfff.
                 self.iwdg.count = self.iwdg.rlr;
                 if self.iwdg.running {
-                    self.iwdg_reload();
+                    self.reload_iwdg();
                 }
             }
             (KR_OFFSET, _) => self.report_violation(format!("IWDG_KR: {v:#x} means nothing")),

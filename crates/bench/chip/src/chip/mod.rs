@@ -31,7 +31,7 @@ use crate::{
     world::World,
 };
 use adc::{Adc, Adcs};
-use backup::{BackupRegisters, registers::PWR_CR_RESET};
+use backup::{BackupDomain, registers::PWR_CR_RESET};
 use can::Can;
 use crc::Crc;
 use dma::Dma;
@@ -52,11 +52,11 @@ use tim11::Tim11;
 use uart::Uart;
 
 /// Bit of [`SharedState::flag`]: there is something new in the report.
-pub const FLAG_REPORT: u64 = 1 << 0;
+pub const FLAG_NEW_FINDING: u64 = 1 << 0;
 /// Bit of [`SharedState::flag`]: a reset is requested.
-pub const FLAG_RESET: u64 = 1 << 1;
+pub const FLAG_RESET_REQUEST: u64 = 1 << 1;
 /// Bit of [`SharedState::flag`]: programming of the flash was switched on or off.
-pub const FLAG_PROGRAMMING: u64 = 1 << 2;
+pub const FLAG_PROGRAMMING_CHANGED: u64 = 1 << 2;
 
 /// State that the run loop and the bus share without a lock.
 #[derive(Debug, Default)]
@@ -149,7 +149,7 @@ pub struct Chip {
     /// PWR_CR, the power control register.
     pub pwr_cr: u32,
     /// The backup domain.
-    pub backup: BackupRegisters,
+    pub backup: BackupDomain,
     /// The flash interface.
     pub flash: FlashModel,
     /// The CRC unit.
@@ -240,7 +240,7 @@ impl Chip {
             tclk1: 0,
             tclk2: 0,
             pwr_cr: 0,
-            backup: BackupRegisters::default(),
+            backup: BackupDomain::default(),
             flash: FlashModel::after_reset(flash::FlashStats::default()),
             crc: Crc::default(),
             gpio: Default::default(),
@@ -284,7 +284,7 @@ impl Chip {
             ..Rcc::default()
         };
         self.pwr_cr = PWR_CR_RESET;
-        self.backup.rtc.system_reset(self.now);
+        self.backup.rtc.apply_system_reset(self.now);
         self.gpio = Default::default();
         self.gpio[0] = Gpio {
             moder: GPIOA_MODER_RESET,
@@ -334,8 +334,8 @@ impl Chip {
     /// Records a finding; for a new one, requests its program counter from the run loop.
     pub fn record_finding(&mut self, grade: Severity, text: String) {
         self.report.record_finding(self.now, grade, text);
-        if self.report.has_new_entries() {
-            self.shared.flag.fetch_or(FLAG_REPORT, Ordering::Relaxed);
+        if self.report.has_findings_without_pc() {
+            self.shared.flag.fetch_or(FLAG_NEW_FINDING, Ordering::Relaxed);
         }
     }
     /// Returns a register's new value: only writable bits change, and a try at the others is reported.
@@ -416,10 +416,10 @@ impl Chip {
                 }
                 ChipEvent::TimUp(i) => self.handle_tim_update_event(i),
                 ChipEvent::TimCc(i, ch) => self.handle_tim_compare_match(i, ch),
-                ChipEvent::Adc(n) => self.adc_end_conversion(n),
-                ChipEvent::CanEnd => self.can_end_frame(),
-                ChipEvent::CanStart => self.can_start_frame(),
-                ChipEvent::CanMode => self.can_update_mode(),
+                ChipEvent::Adc(n) => self.end_adc_conversion(n),
+                ChipEvent::CanEnd => self.end_can_frame(),
+                ChipEvent::CanStart => self.start_can_frame(),
+                ChipEvent::CanMode => self.update_can_mode(),
                 ChipEvent::UartTx(n) => self.finish_uart_transmission(n),
                 ChipEvent::UartRx(n) => self.finish_uart_reception(n),
                 ChipEvent::UartIdle(n) => self.on_uart_idle(n),
@@ -428,7 +428,7 @@ impl Chip {
                     self.iwdg.expire = NEVER;
                     self.request_reset(RCC_CSR_IWDGRSTF | RCC_CSR_PINRSTF, "IWDG")
                 }
-                ChipEvent::Flash => self.flash_operation_complete(),
+                ChipEvent::Flash => self.complete_flash_operation(),
                 ChipEvent::World => self.step_world(),
             }
         }
@@ -439,7 +439,7 @@ impl Chip {
     pub fn request_reset(&mut self, cause: u32, why: &'static str) {
         self.reset_cause = cause;
         self.resets.push((self.now, why));
-        self.shared.flag.fetch_or(FLAG_RESET, Ordering::Relaxed);
+        self.shared.flag.fetch_or(FLAG_RESET_REQUEST, Ordering::Relaxed);
     }
 
     /// Returns whether any interrupt line is up.
@@ -463,8 +463,8 @@ impl Chip {
             want[t.irq] |= t.sr & t.dier & TIM_INTERRUPT_FLAGS != 0;
         }
         want[18] = self.adc.unit.iter().any(Adc::is_irq_asserted);
-        self.dma_interrupt_lines(&mut want);
-        self.can_interrupt_lines(&mut want);
+        self.collect_dma_interrupt_lines(&mut want);
+        self.collect_can_interrupt_lines(&mut want);
         want[37] = self.is_uart_irq_asserted(0);
         want[39] = self.is_uart_irq_asserted(1);
         want[36] = self.is_spi_irq_asserted();

@@ -52,7 +52,7 @@ pub struct Rcc {
 }
 
 /// Returns the number of the bus, AHB1 to AHB3 and APB1 to APB2, of a register in a group that begins at these offsets.
-fn bus_number(off: u32, ahb1: u32, apb1: u32) -> usize {
+fn bus_index(off: u32, ahb1: u32, apb1: u32) -> usize {
     if off >= apb1 { (off - apb1) as usize / 4 + 3 } else { (off - ahb1) as usize / 4 }
 }
 
@@ -134,7 +134,7 @@ impl Chip {
             ));
         }
         self.check_voltage_scale();
-        self.flash_check_latency();
+        self.check_flash_latency();
         self.record_finding(
             Severity::Fact,
             format!(
@@ -215,7 +215,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn rcc_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_rcc_register(&mut self, off: u32) -> u32 {
         let r = &self.rcc;
         match off {
             RCC_CR_OFFSET => r.cr,
@@ -224,15 +224,15 @@ impl Chip {
             RCC_CIR_OFFSET => r.cir,
             RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET
             | RCC_APB1RSTR_OFFSET | RCC_APB2RSTR_OFFSET => {
-                r.rstr[bus_number(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET)]
+                r.rstr[bus_index(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET)]
             }
             RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET | RCC_APB1ENR_OFFSET
-            | RCC_APB2ENR_OFFSET => r.enr[bus_number(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET)],
+            | RCC_APB2ENR_OFFSET => r.enr[bus_index(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET)],
             RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET
             | RCC_APB1LPENR_OFFSET | RCC_APB2LPENR_OFFSET => {
-                r.lpenr[bus_number(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET)]
+                r.lpenr[bus_index(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET)]
             }
-            RCC_BDCR_OFFSET => self.bdcr_read(),
+            RCC_BDCR_OFFSET => self.read_bdcr(),
             RCC_CSR_OFFSET => r.csr,
             RCC_SSCGR_OFFSET => r.sscgr,
             RCC_PLLI2SCFGR_OFFSET => r.plli2s,
@@ -243,7 +243,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn rcc_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_rcc_register(&mut self, off: u32, v: u32) {
         let now = self.now;
         match off {
             RCC_CR_OFFSET => self.write_rcc_cr(v),
@@ -267,7 +267,7 @@ impl Chip {
             }
             RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET
             | RCC_APB1RSTR_OFFSET | RCC_APB2RSTR_OFFSET => {
-                let i = bus_number(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET);
+                let i = bus_index(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET);
                 let old = self.rcc.rstr[i];
                 self.rcc.rstr[i] = v;
                 for (base, bus, bit, _) in CLOCK_GATES {
@@ -278,7 +278,7 @@ impl Chip {
             }
             RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET | RCC_APB1ENR_OFFSET
             | RCC_APB2ENR_OFFSET => {
-                let i = bus_number(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET);
+                let i = bus_index(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET);
                 let mask = RCC_ENR_WRITE_MASKS[i];
                 self.rcc.enr[i] = self.apply_write_mask(
                     &format!("RCC_{}ENR", BUS_NAMES[i]),
@@ -289,10 +289,10 @@ impl Chip {
             }
             RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET
             | RCC_APB1LPENR_OFFSET | RCC_APB2LPENR_OFFSET => {
-                let i = bus_number(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET);
+                let i = bus_index(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET);
                 self.rcc.lpenr[i] = v;
             }
-            RCC_BDCR_OFFSET => self.bdcr_write(v),
+            RCC_BDCR_OFFSET => self.write_bdcr(v),
             RCC_CSR_OFFSET => {
                 if v & RCC_CSR_LSION != 0 && self.rcc.csr & (RCC_CSR_LSIRDY | RCC_CSR_LSION) == 0 {
                     self.rcc.lsi_at = now + us_to_ticks(40);

@@ -62,11 +62,11 @@ impl Default for Rtc {
 const BCD_DIGIT_MASK: u32 = 0xf;
 
 /// Returns a number in BCD, of this many bits of tens.
-fn from_bcd(bcd: u32) -> u32 {
+fn decode_bcd(bcd: u32) -> u32 {
     (bcd >> 4) * 10 + (bcd & BCD_DIGIT_MASK)
 }
 
-fn to_bcd(number: u32) -> u32 {
+fn encode_bcd(number: u32) -> u32 {
     ((number / 10) << 4) | (number % 10)
 }
 
@@ -81,7 +81,7 @@ fn days_in_month(month: u32, year: u32) -> u32 {
 
 impl Rtc {
     /// 26.3.7: what a reset of the system leaves, and what it does not.
-    pub(crate) fn system_reset(&mut self, now: u64) {
+    pub(crate) fn apply_system_reset(&mut self, now: u64) {
         self.init = false;
         (self.locked_time, self.locked_date) = (None, None);
         self.shadow_at = now;
@@ -95,15 +95,15 @@ impl Rtc {
 
     /// Time and date, this many seconds after they stood.
     fn calendar_after(&self, seconds: u64) -> (u32, u32) {
-        let of_day = from_bcd(self.time >> TR_HOURS_SHIFT & TR_HOURS_MASK) * 3600
-            + from_bcd(self.time >> TR_MINUTES_SHIFT & TR_MINUTES_MASK) * 60
-            + from_bcd(self.time & TR_SECONDS_MASK);
+        let of_day = decode_bcd(self.time >> TR_HOURS_SHIFT & TR_HOURS_MASK) * 3600
+            + decode_bcd(self.time >> TR_MINUTES_SHIFT & TR_MINUTES_MASK) * 60
+            + decode_bcd(self.time & TR_SECONDS_MASK);
         let seconds = seconds + u64::from(of_day);
         let (mut days, in_day) = (seconds / 86_400, (seconds % 86_400) as u32);
         let week_day = (u64::from(self.date >> DR_WDU_SHIFT & DR_WDU_MASK) + 6 + days) % 7 + 1;
-        let mut day = from_bcd(self.date & DR_DAY_MASK);
-        let mut month = from_bcd(self.date >> DR_MONTH_SHIFT & DR_MONTH_MASK);
-        let mut year = from_bcd(self.date >> DR_YEAR_SHIFT & DR_YEAR_MASK);
+        let mut day = decode_bcd(self.date & DR_DAY_MASK);
+        let mut month = decode_bcd(self.date >> DR_MONTH_SHIFT & DR_MONTH_MASK);
+        let mut year = decode_bcd(self.date >> DR_YEAR_SHIFT & DR_YEAR_MASK);
         while days > 0 {
             days -= 1;
             day += 1;
@@ -114,15 +114,15 @@ impl Rtc {
                 (month, year) = (1, (year + 1) % 100);
             }
         }
-        let time = to_bcd(in_day / 3600) << TR_HOURS_SHIFT
-            | to_bcd(in_day / 60 % 60) << TR_MINUTES_SHIFT
-            | to_bcd(in_day % 60);
+        let time = encode_bcd(in_day / 3600) << TR_HOURS_SHIFT
+            | encode_bcd(in_day / 60 % 60) << TR_MINUTES_SHIFT
+            | encode_bcd(in_day % 60);
         (
             time,
-            to_bcd(year) << DR_YEAR_SHIFT
+            encode_bcd(year) << DR_YEAR_SHIFT
                 | (week_day as u32) << DR_WDU_SHIFT
-                | to_bcd(month) << DR_MONTH_SHIFT
-                | to_bcd(day),
+                | encode_bcd(month) << DR_MONTH_SHIFT
+                | encode_bcd(day),
         )
     }
 }
@@ -130,14 +130,14 @@ impl Rtc {
 impl Chip {
     /// The calendar is set from outside.
     pub(crate) fn overwrite_rtc_calendar(&mut self, time: u32, date: u32) {
-        self.rtc_update();
+        self.update_rtc_calendar();
         (self.backup.rtc.time, self.backup.rtc.date, self.backup.rtc.counted) = (time, date, 0);
     }
 
     /// Counts what has passed until now.
-    pub(crate) fn rtc_update(&mut self) {
+    pub(crate) fn update_rtc_calendar(&mut self) {
         let now = self.now;
-        let runs = self.rtc_clock_ticks().is_some() && !self.backup.rtc.init;
+        let runs = self.rtcclk_period_ticks().is_some() && !self.backup.rtc.init;
         let rtc = &mut self.backup.rtc;
         let from = rtc.since.max(rtc.starts_at);
         if runs {
@@ -147,33 +147,35 @@ impl Chip {
     }
 
     /// Lets time pass that the chip does not live through.
-    pub(crate) fn rtc_advance(&mut self, ticks: u64) {
+    pub(crate) fn advance_rtc(&mut self, ticks: u64) {
         if !self.backup.rtc.init {
             self.backup.rtc.counted += ticks;
         }
     }
 
     /// Seconds of the calendar since it stood, and cycles of RTCCLK into the next.
-    fn rtc_elapsed(&mut self) -> (u64, u64) {
-        self.rtc_update();
+    fn elapsed_rtc_time(&mut self) -> (u64, u64) {
+        self.update_rtc_calendar();
         let division = self.backup.rtc.cycles_per_second();
         // A clock that stands still has counted, by the crystal's rate: no other has VBAT.
         let cycle =
-            self.rtc_clock_ticks().unwrap_or(crate::time::TICKS_PER_SECOND / self.world.lse_hz);
+            self.rtcclk_period_ticks().unwrap_or(crate::time::TICKS_PER_SECOND / self.world.lse_hz);
         let cycles = self.backup.rtc.counted / cycle;
         (cycles / division, cycles % division)
     }
 
     /// A flag that comes this many cycles of RTCCLK after `at`; without a clock it never does.
-    fn has_elapsed(&self, at: u64, cycles: u64) -> bool {
-        self.rtc_clock_ticks().is_some_and(|cycle| self.now >= at.saturating_add(cycles * cycle))
+    fn has_rtcclk_elapsed(&self, at: u64, cycles: u64) -> bool {
+        self.rtcclk_period_ticks()
+            .is_some_and(|cycle| self.now >= at.saturating_add(cycles * cycle))
     }
 
-    pub(crate) fn rtc_read(&mut self, off: u32) -> u32 {
-        let (seconds, cycles) = self.rtc_elapsed();
+    pub(crate) fn read_rtc_register(&mut self, off: u32) -> u32 {
+        let (seconds, cycles) = self.elapsed_rtc_time();
         let (time, date) = self.backup.rtc.calendar_after(seconds);
         // 26.3.2: two cycles until the shadows are the calendar's.
-        let is_in_step = self.has_elapsed(self.backup.rtc.shadow_at, 2) && !self.backup.rtc.init;
+        let is_in_step =
+            self.has_rtcclk_elapsed(self.backup.rtc.shadow_at, 2) && !self.backup.rtc.init;
         let rtc = &mut self.backup.rtc;
         let shadows = rtc.control & CR_BYPSHAD == 0;
         match off {
@@ -200,7 +202,7 @@ impl Chip {
                 let inits =
                     u32::from(rtc.date >> DR_YEAR_SHIFT & DR_YEAR_MASK != 0) << ISR_INITS_SHIFT;
                 let at = rtc.init_at;
-                let in_init = init && self.has_elapsed(at, 2);
+                let in_init = init && self.has_rtcclk_elapsed(at, 2);
                 let flag = |on: bool, bit: u32| if on { bit } else { 0 };
                 ISR_WRITE_FLAGS
                     | inits
@@ -228,11 +230,11 @@ impl Chip {
         }
     }
 
-    pub(crate) fn rtc_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_rtc_register(&mut self, off: u32, v: u32) {
         if !self.is_backup_writable("RTC") {
             return;
         }
-        self.rtc_update();
+        self.update_rtc_calendar();
         let now = self.now;
         // 26.3.5: of ISR only bits 13:8 are not behind the keys, and they are not modelled; nor are the backup registers.
         let is_open = self.backup.rtc.key == WriteProtectionState::Open;
@@ -241,13 +243,13 @@ impl Chip {
                 "RTC: {off:#x} written while the keys are not (26.3.5)"
             ));
         }
-        let in_init = self.backup.rtc.init && self.has_elapsed(self.backup.rtc.init_at, 2);
+        let in_init = self.backup.rtc.init && self.has_rtcclk_elapsed(self.backup.rtc.init_at, 2);
         if matches!(off, TR_OFFSET | DR_OFFSET | PRER_OFFSET) && !in_init {
             return self.report_violation(format!(
                 "RTC: {off:#x} written outside initialisation (26.3.5)"
             ));
         }
-        let (seconds, _) = self.rtc_elapsed();
+        let (seconds, _) = self.elapsed_rtc_time();
         let rtc = &mut self.backup.rtc;
         match off {
             TR_OFFSET => (rtc.time, rtc.counted) = (v & TR_MASK, 0),
@@ -270,7 +272,7 @@ impl Chip {
                 if is_open && v & ISR_INIT == 0 && rtc.init {
                     rtc.init = false;
                     (rtc.since, rtc.shadow_at) = (now, now);
-                    let cycle = self.rtc_clock_ticks().unwrap_or(0);
+                    let cycle = self.rtcclk_period_ticks().unwrap_or(0);
                     // 26.3.5: counting goes on after four cycles.
                     self.backup.rtc.starts_at = now + 4 * cycle;
                 }

@@ -7,7 +7,7 @@ use super::{
     },
 };
 use crate::{
-    frame::{Frame, compute_e2e_crc, protected_frame},
+    frame::{CanFrame, build_protected_frame, compute_e2e_crc},
     link::*,
     processor::SRAM_SIZE,
     script::Script,
@@ -22,9 +22,9 @@ const CRC_DAMAGE_BIT: u8 = 0x10;
 /// The 29 bits of an extended identifier.
 const EXTENDED_ID_MASK: u32 = 0x1fff_ffff;
 /// First standard identifier that strangers draw: the one after the board's emergencies.
-const FIRST_STRANGER_ID: u32 = EMERGENCY_ID + 1;
+const FIRST_FOREIGN_ID: u32 = EMERGENCY_ID + 1;
 /// Number of standard identifiers that strangers draw from.
-const STRANGER_IDS: u32 = 0x77d;
+const FOREIGN_ID_COUNT: u32 = 0x77d;
 
 /// Bytes of two digits each.
 fn parse_hex_bytes(hex: &str) -> Vec<u8> {
@@ -41,7 +41,7 @@ fn parse_number(words: &[String], i: usize) -> f64 {
 impl Chip {
     /// The supply is gone for this many seconds, and what it held. Time itself goes on for the backup domain only.
     pub(crate) fn simulate_power_loss(&mut self, seed: u64, seconds: u64) {
-        self.backup_power_off(seconds);
+        self.apply_power_loss_to_backup_domain(seconds);
         for i in 0..SRAM_SIZE / 8 {
             let r = seed.wrapping_add(i).wrapping_mul(RANDOM_MULTIPLIER);
             self.sram.write_at(8 * i, &(r ^ r >> 29).to_le_bytes()).unwrap();
@@ -56,7 +56,7 @@ impl Chip {
             s.cut_in -= 1;
             if s.cut_in == 0 {
                 let seed = s.next_random();
-                self.flash_power_off(seed);
+                self.interrupt_flash_operation(seed);
                 self.simulate_power_loss(seed, 0);
                 self.request_reset(
                     RCC_CSR_PORRSTF | RCC_CSR_PINRSTF | RCC_CSR_BORRSTF,
@@ -141,7 +141,7 @@ impl Chip {
             }
             "frame" => {
                 let id = u32::from_str_radix(&words[1], 16).expect("hex");
-                self.world.queue_frame(now, Frame::new(id, &parse_hex_bytes(&words[2])));
+                self.world.queue_can_frame(now, CanFrame::new(id, &parse_hex_bytes(&words[2])));
             }
             "alone" => self.faults.can_alone = number(1) != 0.0,
             "short" => self.faults.can_short = number(1) != 0.0,
@@ -149,7 +149,7 @@ impl Chip {
                 let on = number(1) != 0.0;
                 (self.faults.can_stuck, self.faults.can_short) = (on, on);
                 if !on {
-                    self.can_bus_idle();
+                    self.handle_can_bus_idle();
                 }
             }
             "hse" => {
@@ -181,7 +181,7 @@ impl Chip {
         };
         let seed = s.next_random();
         s.cut_in = 0;
-        self.flash_power_off(seed);
+        self.interrupt_flash_operation(seed);
         if why == "power" {
             self.simulate_power_loss(
                 seed,
@@ -199,26 +199,29 @@ impl Chip {
             match s.damage.as_str() {
                 "crc" => {
                     s.counter = s.counter.wrapping_add(1);
-                    let mut f = protected_frame(CONTROL_ID, s.counter, &body);
+                    let mut f = build_protected_frame(CONTROL_ID, s.counter, &body);
                     f.data[0] ^= CRC_DAMAGE_BIT;
-                    self.world.queue_frame(now, f);
+                    self.world.queue_can_frame(now, f);
                 }
-                "repeat" => {
-                    self.world.queue_frame(now, protected_frame(CONTROL_ID, s.counter, &body))
-                }
+                "repeat" => self
+                    .world
+                    .queue_can_frame(now, build_protected_frame(CONTROL_ID, s.counter, &body)),
                 "jump" => {
                     s.counter = s.counter.wrapping_add(100);
-                    self.world.queue_frame(now, protected_frame(CONTROL_ID, s.counter, &body));
+                    self.world
+                        .queue_can_frame(now, build_protected_frame(CONTROL_ID, s.counter, &body));
                 }
                 _ => {
                     s.counter = s.counter.wrapping_add(1);
-                    self.world.queue_frame(now, protected_frame(CONTROL_ID, s.counter, &body));
+                    self.world
+                        .queue_can_frame(now, build_protected_frame(CONTROL_ID, s.counter, &body));
                 }
             }
         }
         if s.period2 > 0 && (n + 7).is_multiple_of(s.period2) {
             s.counter2 = s.counter2.wrapping_add(1);
-            self.world.queue_frame(now, protected_frame(CONTROL_ID, s.counter2, &[s.flags2]));
+            self.world
+                .queue_can_frame(now, build_protected_frame(CONTROL_ID, s.counter2, &[s.flags2]));
         }
     }
 
@@ -227,16 +230,16 @@ impl Chip {
         let now = self.now;
         if s.spindle && n % 20 == 10 {
             let rpm = s.rpm.to_le_bytes();
-            self.world.queue_frame(
+            self.world.queue_can_frame(
                 now + us_to_ticks(30),
-                protected_frame(SPINDLE_ID, (n / 20) as u8, &[rpm[0], rpm[1], 0, 0]),
+                build_protected_frame(SPINDLE_ID, (n / 20) as u8, &[rpm[0], rpm[1], 0, 0]),
             );
         }
         if s.positions > 0 && n.is_multiple_of(1000 / s.positions) {
             s.x += s.feed / s.positions as f64;
             for (i, id) in POSITION_IDS.into_iter().enumerate() {
                 let mm = if s.jump {
-                    30_000.0 * (s.random_fraction() - 0.5)
+                    30_000.0 * (s.next_random_fraction() - 0.5)
                 } else {
                     s.x + 100.0 * i as f64
                 };
@@ -248,9 +251,9 @@ impl Chip {
                 } else {
                     0
                 };
-                self.world.queue_frame(
+                self.world.queue_can_frame(
                     now + us_to_ticks(10),
-                    protected_frame(
+                    build_protected_frame(
                         id,
                         (n / (1000 / s.positions)) as u8,
                         &[p[0], p[1], p[2], p[3], d],
@@ -266,14 +269,14 @@ impl Chip {
         for i in 0..s.flood.1 {
             let r = s.next_random();
             let data = (r ^ r.rotate_left(23)).to_le_bytes();
-            let mut f = Frame::new(STRANGER_ID, &data);
+            let mut f = CanFrame::new(FOREIGN_FRAME_ID, &data);
             match s.flood.0.as_str() {
                 "foreign" => {
                     f.ext = r >> 40 & 3 == 0;
                     f.id = if f.ext {
                         (r >> 13) as u32 & EXTENDED_ID_MASK
                     } else {
-                        FIRST_STRANGER_ID + (r >> 13) as u32 % STRANGER_IDS
+                        FIRST_FOREIGN_ID + (r >> 13) as u32 % FOREIGN_ID_COUNT
                     };
                     f.len = (r >> 7 & 7) as u8 + 1;
                     f.rtr = r >> 50 & 7 == 0;
@@ -294,7 +297,7 @@ impl Chip {
                         ]
                         .contains(&f.id)
                     {
-                        f.id = STRANGER_ID + 1;
+                        f.id = FOREIGN_FRAME_ID + 1;
                     }
                 }
                 // Its own identifiers, as a stranger would send them: no checksum is right.
@@ -309,11 +312,11 @@ impl Chip {
                     ][(r % 6) as usize]
                 }
             }
-            if f.id < STRANGER_ID
+            if f.id < FOREIGN_FRAME_ID
                 || f.ext
                 || compute_e2e_crc(f.id, &f.data) != u16::from_le_bytes([f.data[0], f.data[1]])
             {
-                self.world.queue_frame(now + us_to_ticks(100 * i), f);
+                self.world.queue_can_frame(now + us_to_ticks(100 * i), f);
             }
         }
     }

@@ -16,7 +16,7 @@ use crate::{
 use registers::*;
 
 /// The byte on MISO while no device drives it.
-const MISO_IDLE: u8 = 0xff;
+const MISO_IDLE_BYTE: u8 = 0xff;
 
 /// The registers of SPI2 and the transfer under way.
 #[derive(Default)]
@@ -51,7 +51,7 @@ impl Chip {
             || (s.sr & SR_ERROR_MASK != 0 && s.cr2 & CR2_ERRIE != 0)
     }
 
-    pub(crate) fn spi_read(&mut self, off: u32) -> u32 {
+    pub(crate) fn read_spi_register(&mut self, off: u32) -> u32 {
         match off {
             CR1_OFFSET => self.spi.cr1,
             CR2_OFFSET => self.spi.cr2,
@@ -72,7 +72,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn spi_write(&mut self, off: u32, v: u32) {
+    pub(crate) fn write_spi_register(&mut self, off: u32, v: u32) {
         match off {
             CR1_OFFSET => {
                 let old = self.spi.cr1;
@@ -152,7 +152,7 @@ impl Chip {
             (&[(1, 15), (2, 3)], "MOSI"),
             (&[(1, 14), (2, 2)], "MISO"),
         ] {
-            if self.find_alternate_function(pins, 5).is_none() {
+            if self.find_pin_with_alternate_function(pins, 5).is_none() {
                 self.report_violation(format!("SPI2: no {what} pin on AF5"));
             }
         }
@@ -191,7 +191,7 @@ impl Chip {
         let Some(v) = self.spi.shift.take() else { return };
         self.spi.bytes += 1;
         let mut say = Vec::new();
-        let mut answer = MISO_IDLE;
+        let mut answer = MISO_IDLE_BYTE;
         for n in 0..8usize {
             if self.pin_mode(2, n as u32) == MODE_OUTPUT && self.gpio[2].odr >> n & 1 == 0 {
                 let chip = &mut self.world.rtds[n];
@@ -212,11 +212,11 @@ impl Chip {
         }
         self.spi.sr |= SR_RXNE;
         if self.spi.cr2 & CR2_RXDMAEN != 0 {
-            self.dma_serve_request(0, 3, 0);
+            self.serve_dma_request(0, 3, 0);
         }
         self.load_spi_shift_register();
         if self.spi.cr2 & CR2_TXDMAEN != 0 && self.spi.sr & SR_TXE != 0 {
-            self.dma_serve_request(0, 4, 0);
+            self.serve_dma_request(0, 4, 0);
         }
     }
 

@@ -139,7 +139,7 @@ impl Tim {
             };
         }
     }
-    pub(crate) fn output_mode(&self, ch: usize) -> u32 {
+    pub(crate) fn output_compare_mode(&self, ch: usize) -> u32 {
         self.ccmr[ch / 2] >> (CCMR_CHANNEL_BITS * (ch % 2) + CCMR_OCM_SHIFT) & CCMR_OCM_MASK
     }
 }
@@ -168,13 +168,13 @@ impl Chip {
         }
         let mms = t.cr2 >> CR2_MMS_SHIFT & CR2_MMS_MASK;
         let pwm1 = mms >= MMS_OC1REF
-            && t.output_mode(mms as usize - MMS_OC1REF as usize) == OCM_PWM1
+            && t.output_compare_mode(mms as usize - MMS_OC1REF as usize) == OCM_PWM1
             && t.ccr[mms as usize - MMS_OC1REF as usize] > 0;
         if mms == MMS_UPDATE || pwm1 {
             self.emit_trigger_output(i);
         }
         for ch in 0..4 {
-            if self.tims[i].output_mode(ch) == OCM_PWM1 && self.tims[i].ccr[ch] > 0 {
+            if self.tims[i].output_compare_mode(ch) == OCM_PWM1 && self.tims[i].ccr[ch] > 0 {
                 self.emit_compare_output(i, ch);
             }
         }
@@ -188,7 +188,7 @@ impl Chip {
         }
         t.sr |= SR_CC1IF << ch;
         let mms = t.cr2 >> CR2_MMS_SHIFT & CR2_MMS_MASK;
-        let mode = t.output_mode(ch);
+        let mode = t.output_compare_mode(ch);
         if (mms == MMS_COMPARE_PULSE && ch == 0)
             || (mms == MMS_OC1REF + ch as u32 && matches!(mode, OCM_ACTIVE | OCM_TOGGLE | OCM_PWM2))
         {
@@ -246,15 +246,15 @@ impl Chip {
             }
         }
         match self.tims[i].name {
-            "TIM1" => self.adc_trigger(Injected, 1),
+            "TIM1" => self.trigger_adc_sequences(Injected, 1),
             "TIM2" => {
-                self.adc_trigger(Regular, 6);
-                self.adc_trigger(Injected, 3);
+                self.trigger_adc_sequences(Regular, 6);
+                self.trigger_adc_sequences(Injected, 3);
             }
-            "TIM3" => self.adc_trigger(Regular, 8),
-            "TIM4" => self.adc_trigger(Injected, 9),
-            "TIM5" => self.adc_trigger(Injected, 11),
-            "TIM8" => self.adc_trigger(Regular, 14),
+            "TIM3" => self.trigger_adc_sequences(Regular, 8),
+            "TIM4" => self.trigger_adc_sequences(Injected, 9),
+            "TIM5" => self.trigger_adc_sequences(Injected, 11),
+            "TIM8" => self.trigger_adc_sequences(Regular, 14),
             _ => {}
         }
     }
@@ -289,10 +289,10 @@ impl Chip {
             ("TIM8", 3) => (Injected, 14),
             _ => return,
         };
-        self.adc_trigger(sequence, source);
+        self.trigger_adc_sequences(sequence, source);
     }
 
-    pub(crate) fn tim_read(&mut self, i: usize, off: u32) -> u32 {
+    pub(crate) fn read_tim_register(&mut self, i: usize, off: u32) -> u32 {
         let now = self.now;
         let t = &self.tims[i];
         match off {
@@ -313,7 +313,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn tim_write(&mut self, i: usize, off: u32, v: u32) {
+    pub(crate) fn write_tim_register(&mut self, i: usize, off: u32, v: u32) {
         let now = self.now;
         let name = self.tims[i].name;
         let masks = |r: &str, m: u32, c: &mut Chip, old: u32| {

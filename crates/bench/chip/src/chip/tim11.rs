@@ -36,7 +36,7 @@ pub struct Tim11 {
 
 impl Chip {
     /// Ticks of the simulation between two captures; `None`: nothing is captured.
-    fn tim11_period(&self) -> Option<u64> {
+    fn tim11_capture_period_ticks(&self) -> Option<u64> {
         if self.faults.capture_dead {
             return None;
         }
@@ -60,8 +60,8 @@ impl Chip {
     }
 
     /// Computes the captures up to now.
-    fn tim11_update_captures(&mut self) {
-        let Some(period) = self.tim11_period() else { return };
+    fn update_tim11_captures(&mut self) {
+        let Some(period) = self.tim11_capture_period_ticks() else { return };
         let captures = (self.now - self.tim11.captures_since) / period;
         let fresh = captures - self.tim11.captured;
         if fresh == 0 {
@@ -77,8 +77,8 @@ impl Chip {
         self.tim11.sr |= SR_CC1IF;
     }
 
-    pub(crate) fn tim11_read(&mut self, off: u32) -> u32 {
-        self.tim11_update_captures();
+    pub(crate) fn read_tim11_register(&mut self, off: u32) -> u32 {
+        self.update_tim11_captures();
         match off {
             CR1_OFFSET => self.tim11.cr1,
             DIER_OFFSET => self.tim11.dier,
@@ -99,8 +99,8 @@ impl Chip {
         }
     }
 
-    pub(crate) fn tim11_write(&mut self, off: u32, v: u32) {
-        self.tim11_update_captures();
+    pub(crate) fn write_tim11_register(&mut self, off: u32, v: u32) {
+        self.update_tim11_captures();
         let now = self.now;
         let old = self.tim11;
         match off {

@@ -35,7 +35,7 @@ pub(crate) const MODELLED_UARTS: [UartInstance; 2] = [
 ];
 
 /// Bits by which a byte differs that the receiver samples at the wrong rate or format: a choice of the model.
-const WRONG_BAUD_PATTERN: u8 = 0x55;
+const FORMAT_MISMATCH_PATTERN: u8 = 0x55;
 
 /// The registers of a unit and the characters under way.
 #[derive(Default)]
@@ -85,7 +85,7 @@ impl Chip {
             || (u.sr & SR_ERROR_MASK != 0 && u.cr3 & (CR3_DMAR | CR3_EIE) == CR3_DMAR | CR3_EIE)
     }
 
-    pub(crate) fn uart_baud(&self, n: usize) -> f64 {
+    pub(crate) fn uart_baud_rate(&self, n: usize) -> f64 {
         let hz = TICKS_PER_SECOND as f64
             / if MODELLED_UARTS[n].apb2 { self.pclk2 } else { self.pclk1 } as f64;
         let b = self.uart[n].brr;
@@ -97,7 +97,7 @@ impl Chip {
         hz / div
     }
 
-    pub(crate) fn uart_read(&mut self, n: usize, off: u32) -> u32 {
+    pub(crate) fn read_uart_register(&mut self, n: usize, off: u32) -> u32 {
         let now = self.now;
         let u = &mut self.uart[n];
         if off == DR_OFFSET && u.sr & SR_RXNE != 0 && now - u.rx_since > u.longest {
@@ -125,7 +125,7 @@ impl Chip {
         }
     }
 
-    pub(crate) fn uart_write(&mut self, n: usize, off: u32, v: u32) {
+    pub(crate) fn write_uart_register(&mut self, n: usize, off: u32, v: u32) {
         match off {
             SR_OFFSET => self.uart[n].sr &= v | !SR_CLEARED_BY_ZERO,
             DR_OFFSET => {
@@ -167,7 +167,7 @@ impl Chip {
                 );
                 if v & !old & CR1_UE != 0 || (v & CR1_UE != 0 && v & !old & (CR1_TE | CR1_RE) != 0)
                 {
-                    let baud = self.uart_baud(n);
+                    let baud = self.uart_baud_rate(n);
                     let (name, meant) = (MODELLED_UARTS[n].name, self.world.wires[n].baud);
                     let wrong = (baud / meant - 1.0) * 100.0;
                     self.record_finding(
@@ -180,7 +180,7 @@ impl Chip {
                         ));
                     }
                 }
-                self.uart_schedule_receive(n);
+                self.schedule_uart_reception(n);
             }
             CR2_OFFSET => {
                 let name = format!("{}_CR2", MODELLED_UARTS[n].name);
@@ -212,7 +212,7 @@ impl Chip {
             return;
         }
         let Some(b) = self.uart[n].tdr.take() else { return };
-        if self.find_alternate_function(MODELLED_UARTS[n].transmit, 7).is_none() {
+        if self.find_pin_with_alternate_function(MODELLED_UARTS[n].transmit, 7).is_none() {
             self.report_violation(format!(
                 "{}: sends without a pin on AF7",
                 MODELLED_UARTS[n].name
@@ -226,7 +226,8 @@ impl Chip {
         let stop =
             [1.0, 0.5, 2.0, 1.5][(self.uart[n].cr2 >> CR2_STOP_SHIFT & CR2_STOP_MASK) as usize];
         let bits = 1.0 + word + stop;
-        self.uart[n].tx_at = self.now + (bits * TICKS_PER_SECOND as f64 / self.uart_baud(n)) as u64;
+        self.uart[n].tx_at =
+            self.now + (bits * TICKS_PER_SECOND as f64 / self.uart_baud_rate(n)) as u64;
     }
 
     /// Returns whether the bits sent reach the wire: a transceiver of RS-485 has to be switched to send.
@@ -242,14 +243,14 @@ impl Chip {
             Parity::None => 0,
             Parity::Even => CR1_M | CR1_PCE,
         };
-        settings == meant && (self.uart_baud(n) / self.world.wires[n].baud - 1.0).abs() < 0.035
+        settings == meant && (self.uart_baud_rate(n) / self.world.wires[n].baud - 1.0).abs() < 0.035
     }
 
     /// Asks the DMA for bytes as long as there is room (RM0090 30.3.13: TXE with DMAT is the request, a
     /// level: a stream that is switched on later finds it).
     pub(crate) fn request_uart_tx_dma(&mut self) {
         while self.uart[0].cr3 & CR3_DMAT != 0 && self.uart[0].sr & SR_TXE != 0 {
-            if self.dma_serve_request(1, 7, 4).is_none() {
+            if self.serve_dma_request(1, 7, 4).is_none() {
                 break;
             }
         }
@@ -258,7 +259,7 @@ impl Chip {
     /// Offers the DMA the byte that has come (RM0090 30.3.13: RXNE with DMAR).
     pub(crate) fn request_uart_rx_dma(&mut self) {
         if self.uart[0].cr3 & CR3_DMAR != 0 && self.uart[0].sr & SR_RXNE != 0 {
-            self.dma_serve_request(1, 2, 4).or_else(|| self.dma_serve_request(1, 5, 4));
+            self.serve_dma_request(1, 2, 4).or_else(|| self.serve_dma_request(1, 5, 4));
         }
     }
 
@@ -287,7 +288,7 @@ impl Chip {
     }
 
     /// Plans the next byte that the host sends.
-    pub(crate) fn uart_schedule_receive(&mut self, n: usize) {
+    pub(crate) fn schedule_uart_reception(&mut self, n: usize) {
         if self.uart[n].rx_at == NEVER
             && let Some(at) = self.world.wires[n].next_byte_time()
         {
@@ -313,7 +314,7 @@ impl Chip {
                 format!("{}: a byte of the host collides with the board's", MODELLED_UARTS[n].name);
             self.record_finding(Severity::Remark, text);
         } else if self.uart[n].cr1 & (CR1_UE | CR1_RE) == CR1_UE | CR1_RE {
-            if self.find_alternate_function(MODELLED_UARTS[n].receive, 7).is_none() {
+            if self.find_pin_with_alternate_function(MODELLED_UARTS[n].receive, 7).is_none() {
                 self.report_violation(format!(
                     "{}: receives without a pin on AF7",
                     MODELLED_UARTS[n].name
@@ -333,7 +334,7 @@ impl Chip {
                 } else {
                     0
                 };
-                let byte = if agrees { b } else { b ^ WRONG_BAUD_PATTERN };
+                let byte = if agrees { b } else { b ^ FORMAT_MISMATCH_PATTERN };
                 self.uart[n].rdr = u32::from(byte) | parity << 8;
                 self.uart[n].sr |= SR_RXNE | disturbed | if agrees { 0 } else { SR_FE };
                 self.uart[n].received += 1;
@@ -345,7 +346,7 @@ impl Chip {
         }
         // RM0090 30.3.1: idle is a whole frame of ones, unless the next start bit comes before.
         self.uart[n].idle_at = self.now + self.world.wires[n].character_ticks();
-        self.uart_schedule_receive(n);
+        self.schedule_uart_reception(n);
     }
 
     pub(crate) fn on_uart_idle(&mut self, n: usize) {

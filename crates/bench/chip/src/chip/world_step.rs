@@ -11,7 +11,7 @@ impl Chip {
         let n = now / ms_to_ticks(1);
         if self.faults.stray_write > 0 && now >= self.faults.stray_write {
             self.faults.stray_write = 0;
-            self.flash_stray_write();
+            self.report_stray_flash_write();
         }
         let w = &mut self.world;
         w.next_at = (n + 1) * ms_to_ticks(1);
@@ -54,7 +54,7 @@ impl Chip {
     fn receive_from_clients(&mut self) {
         for n in 0..self.uart.len() {
             self.world.wires[n].receive_from_client(self.now);
-            self.uart_schedule_receive(n);
+            self.schedule_uart_reception(n);
         }
     }
 }

@@ -95,7 +95,7 @@ impl Bench {
 
     /// Programs a word by way of the processor's bus.
     pub fn program(&self, offset: u32, word: u32) {
-        self.at_once(|chip| chip.flash_program(offset, &word.to_le_bytes()));
+        self.at_once(|chip| chip.program_flash(offset, &word.to_le_bytes()));
     }
 
     pub fn unlock_flash(&self) {

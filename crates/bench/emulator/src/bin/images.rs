@@ -8,7 +8,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     match trueup_emulator::images::build_bundled_images() {
         Ok(folder) => {
-            trueup_output::write_line(folder.display());
+            trueup_output::write_line_best_effort(folder.display());
             ExitCode::SUCCESS
         }
         Err(error) => {

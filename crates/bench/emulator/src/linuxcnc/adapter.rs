@@ -30,7 +30,7 @@ use trueup_link::{
 use trueup_pipe::FRAMES_PER_BLOCK;
 
 /// Cycles from one pair to the next while time is compressed.
-pub(crate) const COMPRESSED_STRIDE_CYCLES: u32 = 257;
+pub(crate) const COMPRESSED_PAIR_INTERVAL_CYCLES: u32 = 257;
 /// A client that takes nothing in for this time counts as gone.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 /// What `N` answers.
@@ -75,7 +75,7 @@ impl SlcanAdapter {
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 serve_client(stream, &theirs);
-                lock(&theirs).client = None;
+                lock_state(&theirs).client = None;
             }
         });
         Ok(Self { shared, address, stride: 1, last: None, passed: 0 })
@@ -88,39 +88,39 @@ impl SlcanAdapter {
     }
 
     /// Every this many cycles a pair is passed on.
-    pub(crate) fn set_stride(&mut self, stride: u32) {
+    pub(crate) fn set_pair_interval_cycles(&mut self, stride: u32) {
         self.stride = stride;
     }
 
     /// Pairs passed on to the CNC, and frames received from it.
     #[must_use]
     pub(crate) fn frame_counts(&self) -> (u64, u64) {
-        (self.passed, lock(&self.shared).received_count)
+        (self.passed, lock_state(&self.shared).received_count)
     }
 
     /// Returns whether the CNC has sent something within `time`.
     #[must_use]
     pub(crate) fn has_received_within(&self, time: Duration) -> bool {
-        lock(&self.shared).last_received.is_some_and(|received| received.elapsed() < time)
+        lock_state(&self.shared).last_received.is_some_and(|received| received.elapsed() < time)
     }
 
     /// Returns what the CNC has sent, as much of it as fits a block.
     #[must_use]
     pub(crate) fn take_frames(&self) -> [Option<Frame>; FRAMES_PER_BLOCK] {
-        let mut shared = lock(&self.shared);
+        let mut shared = lock_state(&self.shared);
         std::array::from_fn(|_| shared.from_cnc.pop_front())
     }
 
     /// Passes on what the board has sent on its bus.
     pub(crate) fn forward_frames(&mut self, sent: &[(TimestampMs, Frame)]) {
-        let mut shared = lock(&self.shared);
+        let mut shared = lock_state(&self.shared);
         let mut bytes = Vec::new();
         for cycle in sent.chunk_by(|(one, _), (other, _)| one == other) {
             let Some((time, _)) = cycle.first() else { continue };
             // A board that was restarted begins at 0 again.
             let due = self
                 .last
-                .is_none_or(|last| time.0 < last.0 || time.duration_since(last) >= self.stride);
+                .is_none_or(|last| time.0 < last.0 || time.duration_ms_since(last) >= self.stride);
             if !due {
                 continue;
             }
@@ -149,7 +149,7 @@ impl AdapterState {
     }
 }
 
-fn lock(shared: &Mutex<AdapterState>) -> MutexGuard<'_, AdapterState> {
+fn lock_state(shared: &Mutex<AdapterState>) -> MutexGuard<'_, AdapterState> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -162,7 +162,7 @@ fn serve_client(mut stream: TcpStream, shared: &Mutex<AdapterState>) {
     };
     let Ok(writer) = set_up() else { return };
     {
-        let mut shared = lock(shared);
+        let mut shared = lock_state(shared);
         shared.port = Port::new(SERIAL_NUMBER);
         shared.from_cnc.clear();
         shared.client = Some(writer);
@@ -175,7 +175,7 @@ fn serve_client(mut stream: TcpStream, shared: &Mutex<AdapterState>) {
             Err(error) if error.kind() == ErrorKind::Interrupted => continue,
             Err(_) => return,
         };
-        let mut shared = lock(shared);
+        let mut shared = lock_state(shared);
         let mut answers = Vec::new();
         for &byte in &bytes[..length] {
             if let Some(frame) = shared.port.receive(byte) {

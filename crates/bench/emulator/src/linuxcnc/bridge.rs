@@ -27,7 +27,7 @@ use trueup_core::units::AdcCode;
 use trueup_machine::inputs::{TemperatureInput, TemperatureKind};
 use trueup_pipe::Block;
 
-use super::adapter::{COMPRESSED_STRIDE_CYCLES, SlcanAdapter};
+use super::adapter::{COMPRESSED_PAIR_INTERVAL_CYCLES, SlcanAdapter};
 use crate::{
     board::VirtualBoard,
     front_end::{ADC_REFERENCE_VOLTS, FrontEnd, NOISE_CODES_RMS},
@@ -195,7 +195,11 @@ impl EmulatedBridge {
                     })
                     .collect();
                 let sent = board.step(&blocks)?;
-                adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE_CYCLES } else { 1 });
+                adapter.set_pair_interval_cycles(if factor > 1 {
+                    COMPRESSED_PAIR_INTERVAL_CYCLES
+                } else {
+                    1
+                });
                 adapter.forward_frames(&sent);
                 Ok(())
             }

@@ -12,7 +12,7 @@
 
 use std::fmt::Write as _;
 
-use super::{OffsetEntry, plant::SAMPLER_PINS};
+use super::{OffsetEntryPoint, plant::SAMPLER_PINS};
 
 /// The travel of X, Y and Z in mm, from 0.
 pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
@@ -30,7 +30,7 @@ pub(crate) const STAIRCASE_FEED_MM_PER_MIN: f64 = 30_000.0;
 /// The feed of the move with five axes in mm/min.
 const FIVE_AXES_FEED_MM_PER_MIN: f64 = 4_000.0;
 /// How long a program waits until an offset has settled.
-const DWELL_S: f64 = 0.3;
+const OFFSET_SETTLING_DWELL_S: f64 = 0.3;
 /// How long it stands at each height of the staircase. LinuxCNC's interpreter ends a dwell by the wall's clock,
 /// so where the computer keeps the servo thread waiting, that many cycles are missing from the dwell.
 pub(crate) const STAIRCASE_DWELL_S: f64 = 1.0;
@@ -183,7 +183,7 @@ pub(crate) fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> Stri
 }
 
 /// The angles and the load, by the names that setup looks for.
-pub(crate) const ANGLE_NETS: [&str; 3] = [
+pub(crate) const ANGLE_AND_LOAD_NETS: [&str; 3] = [
     "trueup-angle-1 axis.c.pos-cmd",
     "trueup-angle-2 axis.a.pos-cmd",
     "trueup-load motion.analog-out-00",
@@ -191,17 +191,21 @@ pub(crate) const ANGLE_NETS: [&str; 3] = [
 
 /// Returns the angles and the load for the bridge.
 #[must_use]
-pub(crate) fn angles_hal() -> String {
+pub(crate) fn angle_and_load_hal() -> String {
     let to = ["angle-1", "angle-2", "load-n"];
-    ANGLE_NETS.iter().zip(to).map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n")).collect()
+    ANGLE_AND_LOAD_NETS
+        .iter()
+        .zip(to)
+        .map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n"))
+        .collect()
 }
 
 /// Returns the writer of the servo cycles.
 #[must_use]
-pub(crate) fn sampler_hal(by: OffsetEntry) -> String {
+pub(crate) fn sampler_hal(by: OffsetEntryPoint) -> String {
     let offsets = match by {
-        OffsetEntry::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
-        OffsetEntry::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],
+        OffsetEntryPoint::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
+        OffsetEntryPoint::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],
     };
     let mut text = format!(
         "\
@@ -267,8 +271,8 @@ M68 E1 Q{stairs}
         end = cx - radius,
         diagonal_feed = DIAGONAL_FEED_MM_PER_MIN / slow,
         arc_feed = arc_feed / slow,
-        dwell_s = DWELL_S * slow,
-        long_s = 2.0 * DWELL_S * slow,
+        dwell_s = OFFSET_SETTLING_DWELL_S * slow,
+        long_s = 2.0 * OFFSET_SETTLING_DWELL_S * slow,
     );
     let down = STAIRCASE_HEIGHTS_MM.iter().rev();
     let turn = [STAIRCASE_HEIGHTS_MM[STAIRCASE_HEIGHTS_MM.len() - 1] + 40.0];
@@ -315,9 +319,9 @@ M2
         five_axes = phase::FIVE_AXES,
         longest_s = 1_800 * slower,
         five_axes_feed = FIVE_AXES_FEED_MM_PER_MIN / slow,
-        long_s = 2.0 * DWELL_S * slow,
-        dwell_s = DWELL_S * slow,
-        short_s = DWELL_S * slow / 3.0,
+        long_s = 2.0 * OFFSET_SETTLING_DWELL_S * slow,
+        dwell_s = OFFSET_SETTLING_DWELL_S * slow,
+        short_s = OFFSET_SETTLING_DWELL_S * slow / 3.0,
     )
 }
 
@@ -327,7 +331,7 @@ mod tests {
 
     #[test]
     fn every_pin_is_wired_once() {
-        let text = sampler_hal(OffsetEntry::Eoffset);
+        let text = sampler_hal(OffsetEntryPoint::Eoffset);
         for number in 0..SAMPLER_PINS.len() {
             let pin = format!("sampler.0.pin.{number}\n");
             assert_eq!(text.matches(&pin).count(), 1, "{pin}");

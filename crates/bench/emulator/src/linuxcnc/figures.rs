@@ -26,13 +26,13 @@ mod cycle_statistics;
 
 use cycle_statistics::{
     CycleMetric, arc_angle_deg, compare_staircases, compute_lag, cross_track_range, error_curve,
-    five_axes_curve, largest_step_um, max_uncompensated_difference_um, peak_to_peak,
+    five_axes_curve, max_offset_step_um, max_uncompensated_difference_um, peak_to_peak,
     radial_error_range, vector_norm, warm_up_curve,
 };
 pub use cycle_statistics::{ErrorCurve, LagStatistics, StaircaseStep};
 
 use super::{
-    BridgePlatform, CompensationRoute, OffsetEntry, PASS_NUMBERS, TIME_COMPRESSION, WARM_UP_S,
+    BridgePlatform, CompensationRoute, OffsetEntryPoint, PASS_NUMBERS, TIME_COMPRESSION, WARM_UP_S,
     adapter,
     config::{OFFSET_AV_RATIO, phase},
     host_bridge,
@@ -146,7 +146,7 @@ pub struct TimeCompression {
 
 /// All of it.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Figures {
+pub struct LoopFigures {
     /// The way from the machine to the drives.
     pub way: CompensationRoute,
     /// The claim.
@@ -279,7 +279,7 @@ fn evaluate_checks(
         AcceptanceCheck::with_upper_limit("damaged frames and faults at the CNC", damaged, "", 0.0),
         AcceptanceCheck::with_upper_limit(
             "largest change of an offset in a servo cycle",
-            largest_step_um(&run.cycles),
+            max_offset_step_um(&run.cycles),
             "um",
             // The slew limit's share of a millisecond, and the rounding of a count.
             run.slew_um_per_s * 1e-3 + 0.01,
@@ -287,7 +287,7 @@ fn evaluate_checks(
     ]
 }
 
-impl Figures {
+impl LoopFigures {
     /// Returns the figures of a run.
     ///
     /// # Errors
@@ -316,7 +316,7 @@ impl Figures {
         let growth_um = min_growth_um(&five);
         let checks = evaluate_checks(run, &diagonal, &lag, &stairs, &warm_up, &five);
         let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.way.on {
-            BridgePlatform::Qemu => [TIME_COMPRESSION, 1, adapter::COMPRESSED_STRIDE_CYCLES],
+            BridgePlatform::Qemu => [TIME_COMPRESSION, 1, adapter::COMPRESSED_PAIR_INTERVAL_CYCLES],
             BridgePlatform::Chip | BridgePlatform::Servo => [1, TIME_COMPRESSION, 1],
         };
         let LoopResult { board_ms, slipped_ms, lost_samples, traffic } = run.account;
@@ -343,10 +343,10 @@ impl Figures {
             },
             slew_um_per_s: run.slew_um_per_s,
             offset_av_ratio: match run.way.by {
-                OffsetEntry::Eoffset => OFFSET_AV_RATIO,
-                OffsetEntry::Joint => 0.0,
+                OffsetEntryPoint::Eoffset => OFFSET_AV_RATIO,
+                OffsetEntryPoint::Joint => 0.0,
             },
-            largest_step_um: largest_step_um(&run.cycles),
+            largest_step_um: max_offset_step_um(&run.cycles),
             cycles: [run.cycles.len() as u64, lost_samples],
             frames: traffic.map(|(pairs, frames)| [pairs, frames]),
             component: run.errors.clone(),
@@ -368,7 +368,7 @@ impl Figures {
     ///
     /// # Errors
     /// One is not reached.
-    pub(crate) fn ensure_all_met(&self) -> Result<u32> {
+    pub(crate) fn ensure_all_checks_met(&self) -> Result<u32> {
         let missed: Vec<String> = self
             .checks
             .iter()

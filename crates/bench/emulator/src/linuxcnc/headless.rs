@@ -24,7 +24,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::stale_shared_memory;
-use crate::{process, setup::LinuxCnc};
+use crate::{process, setup::LockedLinuxCnc};
 
 /// The user and group that own nothing.
 const NOBODY_ID: u32 = 65_534;
@@ -49,7 +49,7 @@ pub struct HeadlessLinuxCnc {
     child: Child,
     screen: BufReader<TcpStream>,
     /// While this is held no other process runs one.
-    alone: Option<LinuxCnc>,
+    alone: Option<LockedLinuxCnc>,
     _keeper: Sender<()>,
 }
 
@@ -67,7 +67,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// It does not start; with its output.
-    pub fn start(folder: TempDir, ini: &str, control: LinuxCnc) -> Result<Self> {
+    pub fn start(folder: TempDir, ini: &str, control: LockedLinuxCnc) -> Result<Self> {
         let path = |name: &str| folder.path().join(name);
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let port = listener.local_addr()?.port();
@@ -140,7 +140,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// As [`HeadlessLinuxCnc::send_request`].
-    pub fn send_command(
+    pub fn send_request_with_argument(
         &mut self,
         verb: &str,
         name: &str,
@@ -155,12 +155,12 @@ impl HeadlessLinuxCnc {
     /// # Errors
     /// As [`HeadlessLinuxCnc::send_request`].
     pub fn power_on_and_home(&mut self) -> Result<()> {
-        self.send_command("state", "name", "reset")?;
-        self.send_command("state", "name", "on")?;
+        self.send_request_with_argument("state", "name", "reset")?;
+        self.send_request_with_argument("state", "name", "on")?;
         if self.read_pin("motion.is-all-homed")? == 0.0 {
             self.send_request(&json!({ "do": "home" }))?;
         }
-        self.send_command("teleop", "on", true).map(drop)
+        self.send_request_with_argument("teleop", "on", true).map(drop)
     }
 
     /// Starts a program of the folder.
@@ -169,14 +169,14 @@ impl HeadlessLinuxCnc {
     /// As [`HeadlessLinuxCnc::send_request`].
     pub fn start_program(&mut self, program: &str) -> Result<()> {
         let path = self.folder.path().join(program);
-        self.send_command("begin", "program", path.to_string_lossy()).map(drop)
+        self.send_request_with_argument("begin", "program", path.to_string_lossy()).map(drop)
     }
 
     /// Returns whether the program still runs.
     ///
     /// # Errors
     /// LinuxCNC has stopped it.
-    pub fn is_busy(&mut self) -> Result<bool> {
+    pub fn is_program_running(&mut self) -> Result<bool> {
         Ok(self.send_request(&json!({ "do": "busy" }))? == Value::Bool(true))
     }
 
@@ -184,7 +184,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// As [`HeadlessLinuxCnc::send_request`].
-    pub fn is_stopped(&mut self) -> Result<bool> {
+    pub fn is_program_paused(&mut self) -> Result<bool> {
         Ok(self.send_request(&json!({ "do": "stopped" }))? == Value::Bool(true))
     }
 
@@ -192,7 +192,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// As [`HeadlessLinuxCnc::send_request`].
-    pub fn resume(&mut self) -> Result<()> {
+    pub fn resume_program(&mut self) -> Result<()> {
         self.send_request(&json!({ "do": "resume" })).map(drop)
     }
 
@@ -210,7 +210,7 @@ impl HeadlessLinuxCnc {
     /// # Errors
     /// There is no such pin.
     pub fn read_pins(&mut self, names: &[&str]) -> Result<Vec<f64>> {
-        let values = self.send_command("pins", "names", names)?;
+        let values = self.send_request_with_argument("pins", "names", names)?;
         let values = values.as_array().context("the screen gives no list")?;
         let number = |value: &Value| match value {
             Value::Bool(bit) => f64::from(u8::from(*bit)),
@@ -257,9 +257,9 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// It refuses; with what it says.
-    pub fn halcmd(&mut self, words: &str) -> Result<String> {
+    pub fn run_halcmd(&mut self, words: &str) -> Result<String> {
         let words: Vec<&str> = words.split_whitespace().collect();
-        let text = self.send_command("halcmd", "words", words)?;
+        let text = self.send_request_with_argument("halcmd", "words", words)?;
         Ok(text.as_str().unwrap_or_default().to_owned())
     }
 
@@ -267,7 +267,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// It cannot be started.
-    pub fn start_sampler(&self) -> Result<(Sampler, ChildStdout)> {
+    pub fn start_sampler(&self) -> Result<(SamplerGuard, ChildStdout)> {
         let program =
             process::find_on_path("halsampler").context("halsampler belongs to LinuxCNC")?;
         let mut child = unprivileged_command(&program, self.folder())?
@@ -277,7 +277,7 @@ impl HeadlessLinuxCnc {
             .stderr(Stdio::null())
             .spawn()?;
         let lines = child.stdout.take().context("its output was asked for")?;
-        Ok((Sampler(child), lines))
+        Ok((SamplerGuard(child), lines))
     }
 
     /// Returns the end of what the output of it and its parts so far.
@@ -309,7 +309,7 @@ impl HeadlessLinuxCnc {
     ///
     /// # Errors
     /// As [`HeadlessLinuxCnc::close`].
-    pub fn shut_down(&mut self) -> Result<LinuxCnc> {
+    pub fn shut_down(&mut self) -> Result<LockedLinuxCnc> {
         self.close()?;
         self.alone.take().context("it was given back before")
     }
@@ -325,9 +325,9 @@ impl Drop for HeadlessLinuxCnc {
 
 /// Ends `halsampler`, which must not hold up the end of the real-time part.
 #[derive(Debug)]
-pub struct Sampler(Child);
+pub struct SamplerGuard(Child);
 
-impl Drop for Sampler {
+impl Drop for SamplerGuard {
     fn drop(&mut self) {
         // It may have ended by itself.
         self.0.kill().ok();

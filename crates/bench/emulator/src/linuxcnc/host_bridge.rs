@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context as _, Result};
 use trueup_core::{
-    bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Rotary, TravelDirection},
+    bridge::{Bridge, State, TickInput},
+    cnc::{AxisPosition, CncMessage, Control, LinearAxis, RotaryAxisAngles, TravelDirection},
     units::{MicroDegrees, Position, Rpm, TimestampMs},
 };
 use trueup_machine::{CompiledCalibration, Machine, inputs::TemperatureInput};
@@ -59,7 +59,8 @@ impl<'a> HostBridge<'a> {
     ) -> Option<[f64; 3]> {
         let Self { bridge, state, .. } = self;
         bridge.receive(state, CncMessage::Control(Control::ENGAGED));
-        bridge.receive(state, CncMessage::Rotary(Rotary { angles: [MicroDegrees(0); 2] }));
+        bridge
+            .receive(state, CncMessage::Rotary(RotaryAxisAngles { angles: [MicroDegrees(0); 2] }));
         let both = position_mm.into_iter().zip(&mut self.before_mm);
         for (axis, (mm, before_mm)) in LinearAxis::ALL.into_iter().zip(both) {
             let position = Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32);
@@ -73,8 +74,11 @@ impl<'a> HostBridge<'a> {
         let temperatures = replay::raw_temperatures(self.temperatures, celsius);
         let codes = self.front_end.convert_block(|_| volts);
         self.now = self.now.wrapping_add_ms(1);
-        let input =
-            Input { codes: Some(&codes), speed: Some(Rpm(0)), temperatures: Some(&temperatures) };
+        let input = TickInput {
+            codes: Some(&codes),
+            speed: Some(Rpm(0)),
+            temperatures: Some(&temperatures),
+        };
         let output = bridge.tick(state, self.now, input);
         Some(output.offset?.map(|nm| f64::from(nm.0) / NANOMETRES_PER_MM))
     }

@@ -77,10 +77,10 @@ const WARM_SCREW_RUN: PositionRun = PositionRun {
     cycles: 1,
     across: &[],
 };
-const WARM_UP_SEGMENT: &str = "[[segment]]\nkind = \"move\"\nto_mm = [0.0, 0.0, 2400.0]\ncycles = 40\n\
+const WARM_UP_SEGMENT_TOML: &str = "[[segment]]\nkind = \"move\"\nto_mm = [0.0, 0.0, 2400.0]\ncycles = 40\n\
                         feed_mm_per_min = 20000.0\n";
 /// The run of the spindle: seconds, r/min.
-const WARM_UP_PROGRAMME: [(u32, u32); 7] = [
+const WARM_UP_SPEED_SPECTRUM: [(u32, u32); 7] = [
     (7_200, 24_000),
     (3_600, 0),
     (3_600, 12_000),
@@ -120,7 +120,7 @@ impl MeasuredMachine {
     ///
     /// # Errors
     /// A time is not a number.
-    pub(crate) fn accelerated_machine(&self, factor: u32) -> Result<String> {
+    pub(crate) fn accelerated_machine_file(&self, factor: u32) -> Result<String> {
         let hurry = |line: &str| -> Result<String> {
             let Some((key, value)) = line.split_once(" = ") else { return Ok(line.into()) };
             if !TIME_KEYS.contains(&key) {
@@ -138,7 +138,7 @@ impl MeasuredMachine {
 ///
 /// # Errors
 /// The project's own file is broken.
-pub(crate) fn load_twin() -> Result<Scenario> {
+pub(crate) fn load_twin_scenario() -> Result<Scenario> {
     scenario_toml(&["elongation"], 1, "[[segment]]\nkind = \"spindle\"\nduration_s = 1.0\n")
         .and_then(|text| Ok(Scenario::parse(&text, Path::new("machine.toml"))?))
 }
@@ -179,7 +179,7 @@ pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMa
         run(&[&["fit"], arguments, &files[..]].concat()).map(drop)
     };
     fs::write(path("m.toml"), BASE_MACHINE_FILE)?;
-    let segments: String = WARM_UP_PROGRAMME
+    let segments: String = WARM_UP_SPEED_SPECTRUM
         .iter()
         .map(|(seconds, rpm)| {
             format!(
@@ -199,7 +199,7 @@ pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMa
             fit(&["straightness", "--run", &csv, "--quantity", quantity])?;
         }
     }
-    let segments = WARM_SCREW_RUN.segment_toml() + WARM_UP_SEGMENT;
+    let segments = WARM_SCREW_RUN.segment_toml() + WARM_UP_SEGMENT_TOML;
     simulate("screw", scenario_toml(&["dz"], 6, &segments)?, MEASUREMENT_SEEDS[4])?;
     let pitch = ["pitch", "--run", "z.csv", "--quantity", "dz"];
     let by_screw = ["--temperature", "temp_screw_c"];

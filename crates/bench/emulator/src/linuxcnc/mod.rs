@@ -65,7 +65,7 @@ use trueup_twin::machine::SimulatedMachine as Twin;
 
 use self::{
     bridge::{BridgeImages, EmulatedBridge, Wiring},
-    figures::{Figures, RunRecord},
+    figures::{LoopFigures, RunRecord},
     headless::HeadlessLinuxCnc,
     machine_measurement::{LOOP_SEED, MeasuredMachine},
     plant::RunningPlant,
@@ -92,7 +92,7 @@ pub enum BridgePlatform {
 /// Where the offsets enter LinuxCNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub enum OffsetEntry {
+pub enum OffsetEntryPoint {
     /// As external offsets, by the HAL files of `integrations/linuxcnc`.
     #[default]
     Eoffset,
@@ -106,7 +106,7 @@ pub struct CompensationRoute {
     /// Where the bridge runs.
     pub on: BridgePlatform,
     /// Where its offsets enter.
-    pub by: OffsetEntry,
+    pub by: OffsetEntryPoint,
 }
 
 impl CompensationRoute {
@@ -117,13 +117,13 @@ impl CompensationRoute {
             BridgePlatform::Chip => "-chip",
             BridgePlatform::Servo => "-servo",
         };
-        let by = if self.by == OffsetEntry::Joint { "-joint" } else { "" };
+        let by = if self.by == OffsetEntryPoint::Joint { "-joint" } else { "" };
         format!("target/linuxcnc{on}{by}")
     }
 
     /// Returns whether `trueup linuxcnc setup` writes the HAL files.
     fn is_written_by_setup(self) -> bool {
-        self.on == BridgePlatform::Servo || self.by == OffsetEntry::Joint
+        self.on == BridgePlatform::Servo || self.by == OffsetEntryPoint::Joint
     }
 }
 
@@ -132,17 +132,17 @@ pub(crate) const WARM_UP_S: u32 = 7_200;
 /// The first pass of the path, without compensation, and the second, with it; then the warm-up.
 pub(crate) const PASS_NUMBERS: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
-const PROGRAM_TIMEOUT: Duration = Duration::from_secs(180);
+const NC_PROGRAM_TIMEOUT: Duration = Duration::from_secs(180);
 /// The warm-up may take this many times as long as planned, on a computer that is too slow.
 const MAX_WARM_UP_STRETCH: u32 = 6;
-const SEED: u64 = 77;
+const CONVERTER_NOISE_SEED: u64 = 77;
 
 /// Runs the whole; `None` where the distribution has no package of LinuxCNC, or the compiler is too old for
 /// the model of the chip.
 ///
 /// # Errors
-/// Something does not run. What is not reached is not an error here: `Figures::ensure_all_met` says it.
-pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
+/// Something does not run. What is not reached is not an error here: `Figures::ensure_all_checks_met` says it.
+pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
     let on = way.on;
     let started = Instant::now();
     let Some(control) = setup::ensure_linuxcnc()? else { return Ok(None) };
@@ -163,11 +163,11 @@ pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
     let Some((trueup, measured, images)) = prepare(way, &announce)? else { return Ok(None) };
 
     announce("starting the bridge and LinuxCNC");
-    let twin = machine_measurement::load_twin()?;
+    let twin = machine_measurement::load_twin_scenario()?;
     let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
     let temperatures = inputs.temperatures.clone();
-    let wiring = Wiring { temperatures, divider: sensor.divider, seed: SEED };
+    let wiring = Wiring { temperatures, divider: sensor.divider, seed: CONVERTER_NOISE_SEED };
     let bridge = EmulatedBridge::start(images, wiring)?;
     let slower = bridge.time_stretch();
     if slower > 1 {
@@ -202,10 +202,10 @@ pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
     run_warm_up_phase(&mut cnc, &mut plant)?;
     let warm_up_wall_s = warm_up.elapsed().as_secs_f64();
     announce("five axes, at real time");
-    while cnc.is_busy()? {
+    while cnc.is_program_running()? {
         plant.check_running()?;
         ensure!(
-            warm_up.elapsed() < PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * slower,
+            warm_up.elapsed() < NC_PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * slower,
             "the program does not end"
         );
         thread::sleep(Duration::from_millis(50));
@@ -239,7 +239,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
         wall_s: started.elapsed().as_secs_f64(),
         log,
     };
-    Figures::from_run(&run).map(Some)
+    LoopFigures::from_run(&run).map(Some)
 }
 
 /// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
@@ -251,7 +251,7 @@ fn prepare(
     let trueup = host_programs::build_trueup()?;
     // The image, the program that is the chip, or the library of the component.
     let firmware = match way.on {
-        BridgePlatform::Qemu => Some(firmware::build_virtual()?),
+        BridgePlatform::Qemu => Some(firmware::build_virtual_board_image()?),
         BridgePlatform::Chip => chip::build()?,
         BridgePlatform::Servo => Some(host_programs::build_servo_library()?),
     };
@@ -262,7 +262,7 @@ fn prepare(
         machine_measurement::measure_machine(&trueup, work.path())?
     };
     let images = match way.on {
-        BridgePlatform::Qemu => BridgeImages::Qemu(firmware, calibration_blobs(&measured)?),
+        BridgePlatform::Qemu => BridgeImages::Qemu(firmware, compile_calibration_blobs(&measured)?),
         BridgePlatform::Chip => {
             announce("building the images of this machine");
             BridgeImages::Chip(firmware, build_images(&measured, &way.output_folder())?)
@@ -276,9 +276,9 @@ fn prepare(
 ///
 /// # Errors
 /// It does not run, or a figure is not reached; with the figure.
-pub fn run_and_publish(way: CompensationRoute) -> Result<Option<u32>> {
+pub fn run_and_write_report(way: CompensationRoute) -> Result<Option<u32>> {
     let Some(figures) = run(way)? else {
-        trueup_output::write_line(
+        trueup_output::write_line_best_effort(
             "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip",
         );
         return Ok(None);
@@ -288,16 +288,16 @@ pub fn run_and_publish(way: CompensationRoute) -> Result<Option<u32>> {
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
     fs::write(folder.join("report.html"), page::render_page(&figures))?;
-    trueup_output::write_line(figures.format_table());
-    trueup_output::write_line(format_args!(
+    trueup_output::write_line_best_effort(figures.format_table());
+    trueup_output::write_line_best_effort(format_args!(
         "\nThe picture: {shown}/report.html   The figures: {shown}/summary.json"
     ));
-    figures.ensure_all_met().map(Some)
+    figures.ensure_all_checks_met().map(Some)
 }
 
 /// Returns the calibrations for real time and for compressed time, which differ in the limits that count
 /// board time.
-fn calibration_blobs(measured: &MeasuredMachine) -> Result<[Vec<u8>; 2]> {
+fn compile_calibration_blobs(measured: &MeasuredMachine) -> Result<[Vec<u8>; 2]> {
     let mut slow: Machine = MachineFile::parse(&measured.text, Path::new("extended.toml"))?;
     slow.limits.link_timeout_ms *= TIME_COMPRESSION;
     slow.limits.hold_ms *= TIME_COMPRESSION;
@@ -312,9 +312,9 @@ fn build_images(measured: &MeasuredMachine, folder: &str) -> Result<[PathBuf; 2]
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
         fs::write(&machine, text)?;
-        firmware::build_for_machine(&machine)
+        firmware::build_image_for_machine(&machine)
     };
-    let hurried = measured.accelerated_machine(TIME_COMPRESSION)?;
+    let hurried = measured.accelerated_machine_file(TIME_COMPRESSION)?;
     Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
 }
 
@@ -323,7 +323,7 @@ fn start_linuxcnc(
     plant: &RunningPlant,
     measured: &MeasuredMachine,
     way: CompensationRoute,
-    control: setup::LinuxCnc,
+    control: setup::LockedLinuxCnc,
 ) -> Result<HeadlessLinuxCnc> {
     let (slower, slew_um_per_s) = (plant.time_stretch(), measured.machine.limits.slew_um_per_s);
     let folder = HeadlessLinuxCnc::create_config_folder()?;
@@ -340,7 +340,10 @@ fn start_linuxcnc(
         ("machine.hal", config::machine_hal()),
         ("trueup_watchdog.hal", sample("trueup_watchdog.hal")?),
         ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?, slew_um_per_s, slower)),
-        ("loop.hal", config::angles_hal() + &config::sampler_hal(OffsetEntry::Eoffset)),
+        (
+            "loop.hal",
+            config::angle_and_load_hal() + &config::sampler_hal(OffsetEntryPoint::Eoffset),
+        ),
         ("machine.toml", measured.text.clone()),
     ];
     for (name, text) in texts.into_iter().chain(nc_programs(slower)) {
@@ -363,9 +366,9 @@ fn nc_programs(slower: u32) -> [(&'static str, String); 4] {
 fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant, program: &str) -> Result<()> {
     cnc.start_program(program)?;
     let begun = Instant::now();
-    while cnc.is_busy().with_context(|| cnc.recent_log())? {
+    while cnc.is_program_running().with_context(|| cnc.recent_log())? {
         plant.check_running()?;
-        let timeout = PROGRAM_TIMEOUT * plant.time_stretch();
+        let timeout = NC_PROGRAM_TIMEOUT * plant.time_stretch();
         ensure!(begun.elapsed() < timeout, "{program} is not done after {timeout:?}");
         thread::sleep(Duration::from_millis(50));
     }
@@ -382,7 +385,7 @@ fn wait_until_engaged(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> R
         }
         plant.check_running()?;
         ensure!(
-            begun.elapsed() < PROGRAM_TIMEOUT,
+            begun.elapsed() < NC_PROGRAM_TIMEOUT,
             "the bridge is not live: quality, applied, fault are {pins:?}; the board's last word is \
              {:?}; {}",
             plant.take_log().last(),
@@ -399,22 +402,22 @@ fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> Re
     let begun = Instant::now();
     while plant.latest_cycle().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
         plant.check_running()?;
-        ensure!(begun.elapsed() < PROGRAM_TIMEOUT, "the warm-up does not begin");
+        ensure!(begun.elapsed() < NC_PROGRAM_TIMEOUT, "the warm-up does not begin");
         thread::sleep(Duration::from_millis(5));
     }
     let from_s = lived_s(plant);
     // It runs up at real time: growth by speed comes within seconds.
     while plant.latest_cycle().is_none_or(|cycle| cycle.spindle_rpm < config::SPINDLE_RPM) {
         plant.check_running()?;
-        ensure!(begun.elapsed() < PROGRAM_TIMEOUT, "the spindle does not run up");
+        ensure!(begun.elapsed() < NC_PROGRAM_TIMEOUT, "the spindle does not run up");
         thread::sleep(Duration::from_millis(5));
     }
     plant.set_time_factor(TIME_COMPRESSION);
     while lived_s(plant) - from_s < f64::from(WARM_UP_S) {
         plant.check_running()?;
-        cnc.is_busy()?;
+        cnc.is_program_running()?;
         ensure!(
-            begun.elapsed() < PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * plant.time_stretch(),
+            begun.elapsed() < NC_PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * plant.time_stretch(),
             "the warm-up does not end"
         );
         thread::sleep(Duration::from_millis(20));

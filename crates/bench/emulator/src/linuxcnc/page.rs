@@ -1,15 +1,15 @@
 //! The page of the loop: what the tool tip did before and after, in the look of all reports.
 
-use trueup_page::{Chart, Colour, HtmlTable, Page, Series, format_micrometres};
+use trueup_page::{Chart, ChartSeries, ColourRole, HtmlTable, Page, format_micrometres};
 
 use super::{
-    BridgePlatform, OffsetEntry,
-    figures::{AcceptanceCheck, ErrorCurve, Figures, StaircaseStep},
+    BridgePlatform, OffsetEntryPoint,
+    figures::{AcceptanceCheck, ErrorCurve, LoopFigures, StaircaseStep},
 };
 
 /// Returns the page.
 #[must_use]
-pub fn render_page(figures: &Figures) -> String {
+pub fn render_page(figures: &LoopFigures) -> String {
     let mut page = Page::new("Where the tool tip really was, without and with the bridge");
     add_verdict(&mut page, &figures.checks);
     page.add_paragraph(&format!(
@@ -21,8 +21,8 @@ pub fn render_page(figures: &Figures) -> String {
             BridgePlatform::Servo => "component without a board, in the servo thread",
         },
         match figures.way.by {
-            OffsetEntry::Eoffset => "through LinuxCNC's external offsets",
-            OffsetEntry::Joint => "between LinuxCNC's joints and their drives",
+            OffsetEntryPoint::Eoffset => "through LinuxCNC's external offsets",
+            OffsetEntryPoint::Joint => "between LinuxCNC's joints and their drives",
         },
         figures.cycles[0]
     ));
@@ -59,7 +59,7 @@ pub fn render_page(figures: &Figures) -> String {
     page.add_heading("How late the offsets are");
     page.add_paragraph(&describe_lag(figures));
     page.add_heading("What was compressed");
-    page.add_paragraph(&time_compression_table(figures));
+    page.add_paragraph(&describe_time_compression(figures));
     page.add_details("What the diagnosis found in the measured warm-up", &figures.findings);
     page.add_details("The machine file that the board ran", &figures.machine_file);
     page.to_html()
@@ -122,7 +122,7 @@ fn staircase_table(stairs: &[StaircaseStep]) -> HtmlTable {
     table
 }
 
-fn describe_lag(figures: &Figures) -> String {
+fn describe_lag(figures: &LoopFigures) -> String {
     let lag = &figures.lag;
     format!(
         "{:.1} ms from where a joint is to the offset that belongs there, over the diagonal; {:.1} ms in the \
@@ -134,13 +134,13 @@ fn describe_lag(figures: &Figures) -> String {
         lag.worst_ms,
         lag.steepest_um_per_mm,
         lag.costs_um_at_10_m_per_min,
-        lag_table(figures),
+        describe_lag_components(figures),
         figures.slew_um_per_s
     )
 }
 
 /// The parts of the lag.
-fn lag_table(figures: &Figures) -> String {
+fn describe_lag_components(figures: &LoopFigures) -> String {
     let way_there = match figures.way.on {
         BridgePlatform::Qemu | BridgePlatform::Chip => {
             "sending the position (every 2 ms), the board's millisecond, the way back"
@@ -148,16 +148,16 @@ fn lag_table(figures: &Figures) -> String {
         BridgePlatform::Servo => "the node's millisecond",
     };
     let at_last = match figures.way.by {
-        OffsetEntry::Eoffset => format!(
+        OffsetEntryPoint::Eoffset => format!(
             "LinuxCNC's own planner for offsets, which has OFFSET_AV_RATIO = {} of each axis' acceleration",
             figures.offset_av_ratio
         ),
-        OffsetEntry::Joint => "the limits of the offset at the joint".into(),
+        OffsetEntryPoint::Joint => "the limits of the offset at the joint".into(),
     };
     format!("The lag contains: {way_there}, and {at_last}.")
 }
 
-fn time_compression_table(figures: &Figures) -> String {
+fn describe_time_compression(figures: &LoopFigures) -> String {
     let time = &figures.time;
     let hours = f64::from(time.warm_up_s) / 3_600.0;
     let times = f64::from(time.warm_up_s) / time.warm_up_wall_s;
@@ -194,8 +194,8 @@ fn time_compression_table(figures: &Figures) -> String {
 fn render_chart(title: &str, x: &str, y: &str, curve: &ErrorCurve) -> String {
     let points = |um: &[f64]| curve.at.iter().zip(um).map(|(at, um)| [*at, *um]).collect();
     let series = vec![
-        Series::line("without", Colour::Before, points(&curve.before_um)),
-        Series::line("with the bridge", Colour::After, points(&curve.after_um)),
+        ChartSeries::line("without", ColourRole::Before, points(&curve.before_um)),
+        ChartSeries::line("with the bridge", ColourRole::After, points(&curve.after_um)),
     ];
     Chart { title: title.into(), x: x.into(), y: y.into(), series }.to_figure()
 }

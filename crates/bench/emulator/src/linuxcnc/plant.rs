@@ -417,7 +417,7 @@ impl SimulationLoop {
         self.last_received = Some(Instant::now());
         if self.ahead_ms <= 0.0 {
             // The board is behind: the machine waits for it, but its axes move on.
-            self.ahead_ms = MIN_STEP_MS * samples.len() as f64;
+            self.ahead_ms = MIN_MACHINE_STEP_MS * samples.len() as f64;
         }
         let dt_s = self.ahead_ms / 1e3 / samples.len() as f64;
         self.ahead_ms = 0.0;
@@ -453,7 +453,7 @@ impl SimulationLoop {
 }
 
 /// The machine's time goes on by at least this much in a servo cycle.
-const MIN_STEP_MS: f64 = 1e-3;
+const MIN_MACHINE_STEP_MS: f64 = 1e-3;
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, not negative")]
 fn floor_to_u64(ms: f64) -> u64 {

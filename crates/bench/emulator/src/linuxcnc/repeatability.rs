@@ -54,13 +54,13 @@ impl StaircasePath {
 }
 
 /// Returns the reduction of the backlash in a run, in percent, as the loop states it.
-fn reduction_percent(
+fn backlash_reduction_percent(
     compiled: &CompiledCalibration,
     file: &Machine,
     path: &StaircasePath,
     seed: u64,
 ) -> Result<f64> {
-    let scenario = machine_measurement::load_twin()?;
+    let scenario = machine_measurement::load_twin_scenario()?;
     let mut with = Twin::new(&scenario, seed);
     let mut without = with.clone();
     let mut bridge = HostBridge::new(compiled, file, seed)?;
@@ -108,7 +108,7 @@ pub fn print_reductions(count: u64) -> Result<()> {
     let measured: MeasuredMachine = machine_measurement::measure_machine(&trueup, work.path())?;
     let mut exact = measured.machine.clone();
     let width_um = &mut exact.axes[2].backlash.as_mut().context("Z has its backlash")?.width_um;
-    let of_machine_um = machine_measurement::load_twin()?.axis[&AxisName::Z].backlash_um;
+    let of_machine_um = machine_measurement::load_twin_scenario()?.axis[&AxisName::Z].backlash_um;
     let as_measured_um = std::mem::replace(width_um, of_machine_um);
     let path = StaircasePath::new();
     for (name, file) in [
@@ -117,11 +117,11 @@ pub fn print_reductions(count: u64) -> Result<()> {
     ] {
         let compiled = compile(file)?;
         let mut all: Vec<f64> = (0..count)
-            .map(|n| reduction_percent(&compiled, file, &path, LOOP_SEED + n))
+            .map(|n| backlash_reduction_percent(&compiled, file, &path, LOOP_SEED + n))
             .collect::<Result<_>>()?;
         all.sort_by(f64::total_cmp);
         let at = |share: f64| all[((all.len() - 1) as f64 * share).round() as usize];
-        trueup_output::write_line(format_args!(
+        trueup_output::write_line_best_effort(format_args!(
             "{name}: {count} runs, least {:.2} %, 5 % below {:.2} %, half below {:.2} %, 95 % below {:.2} %, largest {:.2} %",
             at(0.0),
             at(0.05),

@@ -6,13 +6,13 @@ use anyhow::{Context as _, Result, ensure};
 use tempfile::TempDir;
 
 use super::{
-    BridgePlatform, CompensationRoute, OffsetEntry, TIME_COMPRESSION, config,
+    BridgePlatform, CompensationRoute, OffsetEntryPoint, TIME_COMPRESSION, config,
     headless::HeadlessLinuxCnc, machine_measurement::MeasuredMachine, plant::RunningPlant,
 };
 use crate::setup;
 
 /// Brings lines from the machine to LinuxCNC's `streamer`.
-const FEED_SCRIPT: &str = "#!/bin/bash\nexec halstreamer < /dev/tcp/$1\n";
+const STREAMER_INPUT_SCRIPT: &str = "#!/bin/bash\nexec halstreamer < /dev/tcp/$1\n";
 
 /// Starts LinuxCNC with it.
 ///
@@ -23,7 +23,7 @@ pub fn start(
     measured: &MeasuredMachine,
     way: CompensationRoute,
     folder: TempDir,
-    control: setup::LinuxCnc,
+    control: setup::LockedLinuxCnc,
 ) -> Result<HeadlessLinuxCnc> {
     ensure!(
         way.on != BridgePlatform::Chip,
@@ -32,7 +32,7 @@ pub fn start(
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
     let mut hal = config::machine_hal();
-    for net in config::ANGLE_NETS {
+    for net in config::ANGLE_AND_LOAD_NETS {
         let _ = writeln!(hal, "net {net}");
     }
     let (machine, to_bridge) = match plant.host_component() {
@@ -45,7 +45,7 @@ pub fn start(
                 command.args(words).arg(&out).arg("--library").arg(library)
             })?;
             hal += &inputs_hal(channels, &here, plant.address());
-            (measured.accelerated_machine(TIME_COMPRESSION)?, vec!["--no-board"])
+            (measured.accelerated_machine_file(TIME_COMPRESSION)?, vec!["--no-board"])
         }
         None => (measured.text.clone(), vec!["--port", plant.address()]),
     };
@@ -53,15 +53,15 @@ pub fn start(
         ("loop.ini", config::ini_file(None, &here, 1)),
         ("machine.hal", hal),
         ("loop.hal", config::sampler_hal(way.by)),
-        ("feed.sh", FEED_SCRIPT.into()),
+        ("feed.sh", STREAMER_INPUT_SCRIPT.into()),
         ("machine.toml", machine),
     ];
     for (name, text) in texts.into_iter().chain(super::nc_programs(1)) {
         fs::write(path(name), text)?;
     }
     let by = match way.by {
-        OffsetEntry::Eoffset => "eoffset",
-        OffsetEntry::Joint => "joint",
+        OffsetEntryPoint::Eoffset => "eoffset",
+        OffsetEntryPoint::Joint => "joint",
     };
     run_trueup(&folder, |command| {
         command

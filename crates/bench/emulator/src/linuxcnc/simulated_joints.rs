@@ -12,7 +12,7 @@ use super::{
     config::JOINT_INI,
     headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
 };
-use crate::setup::LinuxCnc;
+use crate::setup::LockedLinuxCnc;
 
 /// A busy computer answers late.
 const INI_TEMPLATE: &str = "\
@@ -88,7 +88,7 @@ impl Default for ControlSettings<'_> {
 /// # Errors
 /// It does not start; with its output.
 pub fn start(
-    control: LinuxCnc,
+    control: LockedLinuxCnc,
     axes: &[AxisIniLines; 3],
     hal: &str,
     files: &[(String, String)],
@@ -101,7 +101,7 @@ pub fn start(
 /// # Errors
 /// As [`start`].
 pub fn start_with_settings(
-    control: LinuxCnc,
+    control: LockedLinuxCnc,
     settings: ControlSettings<'_>,
     axes: &[AxisIniLines; 3],
     hal: &str,

@@ -83,14 +83,14 @@ impl KeyChangeBoard {
     }
 }
 
-fn new_image_a() -> Vec<u8> {
+fn new_key_image_a() -> Vec<u8> {
     image_signed_by(NEW_KEY, Slot::A, 1, 0)
 }
 
 #[test]
 fn with_a_dead_pll_the_image_of_the_new_key_starts_and_one_of_the_old_key_does_not() {
     for b in [Vec::new(), image_signed_by(OLD_KEY, Slot::B, 2, 0)] {
-        let mut board = KeyChangeBoard::with_images(&new_image_a(), &b, 1);
+        let mut board = KeyChangeBoard::with_images(&new_key_image_a(), &b, 1);
         for _ in 0..2 {
             assert_eq!(board.start().map(|started| started.0), Some(Slot::A));
         }
@@ -102,7 +102,7 @@ fn with_a_dead_pll_the_image_of_the_new_key_starts_and_one_of_the_old_key_does_n
 
 #[test]
 fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_key_is_refused() {
-    let mut board = KeyChangeBoard::with_images(&new_image_a(), &[], 1);
+    let mut board = KeyChangeBoard::with_images(&new_key_image_a(), &[], 1);
     assert_eq!(
         board.load_update(
             &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
@@ -111,7 +111,7 @@ fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_k
         Ok(())
     );
     assert_eq!(board.start(), Some((Slot::B, StartReason::Trial(1))));
-    let mut board = KeyChangeBoard::with_images(&new_image_a(), &[], 1);
+    let mut board = KeyChangeBoard::with_images(&new_key_image_a(), &[], 1);
     let refused = board.load_update(
         &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
         &image_signed_by(OLD_KEY, Slot::B, 2, 0),
@@ -126,7 +126,7 @@ fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_k
 fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_starts() {
     let mut cuts = 0;
     for (key, seed) in [(NEW_KEY, 1), (OLD_KEY, 2), (NEW_KEY, 3), (OLD_KEY, 4)] {
-        let (old, new) = (new_image_a(), image_signed_by(key, Slot::B, 2, 0));
+        let (old, new) = (new_key_image_a(), image_signed_by(key, Slot::B, 2, 0));
         let whole = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
         KeyChangeBoard::with_images(&old, &[], seed).load_update(&whole, &new).ok();
         let words = (UNLIMITED_BYTES - whole.remaining_bytes()) / 4;
@@ -157,7 +157,7 @@ fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_
 fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_are_erased() {
     let stays = image_signed_by(OLD_KEY, Slot::B, 2, 0);
     let tag = u32::from_le_bytes(*stays[..HEADER_SIZE].last_chunk().expect("a tag"));
-    let mut board = KeyChangeBoard::with_images(&new_image_a(), &stays, 1);
+    let mut board = KeyChangeBoard::with_images(&new_key_image_a(), &stays, 1);
     board.with_supply(&PowerSupply::with_byte_budget(UNLIMITED_BYTES), |journal, _| {
         let verified = journal.state().with_status(Slot::B, tag, ImageStatus::Verified);
         journal.commit(verified).expect("powered");

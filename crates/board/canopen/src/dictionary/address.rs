@@ -19,7 +19,7 @@ pub type ObjectAddress = (u16, u8);
 /// No entry has this content, or more than one.
 #[must_use]
 pub const fn find_address(content: EntryContent) -> ObjectAddress {
-    find_entry(&Key::Content(content))
+    find_entry_address(&EntryKey::Content(content))
 }
 
 /// Returns the address of the entry with this name, for a constant, whose content is its value.
@@ -28,23 +28,23 @@ pub const fn find_address(content: EntryContent) -> ObjectAddress {
 /// No entry has this name, or more than one.
 #[must_use]
 pub const fn find_address_by_name(name: &'static str) -> ObjectAddress {
-    find_entry(&Key::Name(name))
+    find_entry_address(&EntryKey::Name(name))
 }
 
-enum Key {
+enum EntryKey {
     Content(EntryContent),
     Name(&'static str),
 }
 
-const fn find_entry(key: &Key) -> ObjectAddress {
+const fn find_entry_address(key: &EntryKey) -> ObjectAddress {
     let mut found = None;
     let mut objects = OBJECTS;
     while let [object, other_objects @ ..] = objects {
         let mut entries = object.entries;
         while let [entry, other_entries @ ..] = entries {
             let is_match = match key {
-                Key::Content(content) => is_same_content(entry.what, *content),
-                Key::Name(name) => is_same_text(entry.name, name),
+                EntryKey::Content(content) => is_same_content(entry.what, *content),
+                EntryKey::Name(name) => is_same_text(entry.name, name),
             };
             if is_match {
                 assert!(found.is_none(), "more than one entry matches");

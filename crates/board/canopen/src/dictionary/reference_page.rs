@@ -21,7 +21,7 @@ impl PageRow {
     }
 
     /// `content` takes the numbers of the entries.
-    fn of_numbers<const N: usize>(
+    fn from_entry_numbers<const N: usize>(
         content: fn(u8) -> EntryContent,
         numbers: [u8; N],
         meaning: &str,
@@ -49,7 +49,7 @@ fn reference_rows() -> Vec<PageRow> {
                  is refused (abort 0x06090030)"
             ),
         ),
-        PageRow::of_numbers(
+        PageRow::from_entry_numbers(
             EntryContent::Reference,
             [0, 1, 2],
             "its errors of X, Y, Z in nm, the same way",
@@ -69,7 +69,7 @@ fn reference_rows() -> Vec<PageRow> {
             EntryContent::OfferedElongation,
             "elongation of the reference that is offered, in nm; −2³¹: none is",
         ),
-        PageRow::of_numbers(
+        PageRow::from_entry_numbers(
             EntryContent::Offered,
             [0, 1, 2],
             "its errors of X, Y, Z in nm, the same way",
@@ -146,12 +146,12 @@ fn firmware_rows() -> Vec<PageRow> {
             EntryContent::RunningSlot,
             "slot that runs: 0 A, 1 B; abort 0x08000024 where there are no slots",
         ),
-        PageRow::of_numbers(
+        PageRow::from_entry_numbers(
             EntryContent::SlotVersion,
             [0, 1],
             "version in A, B: major, minor, patch, build, a byte each from the highest; 0: none",
         ),
-        PageRow::of_numbers(
+        PageRow::from_entry_numbers(
             EntryContent::SlotStatus,
             [0, 1],
             "status of A, B in the lower byte, starts on trial in the upper one. The status is 0 new, 1 loading, 2 \
@@ -175,7 +175,7 @@ fn find_entry(content: EntryContent) -> (&'static Object, &'static Entry) {
 }
 
 /// Returns the table of these rows as the page has it.
-fn print_table(rows: &[PageRow]) -> String {
+fn format_table(rows: &[PageRow]) -> String {
     let mut text = String::from("| object | type | access | meaning |\n|---|---|---|---|\n");
     for row in rows {
         let entries: Vec<_> = row.contents.iter().map(|content| find_entry(*content)).collect();
@@ -217,7 +217,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/reference.md");
         let page = fs::read_to_string(&path).expect("the page");
         let tables =
-            [reference_rows(), calibration_rows(), firmware_rows()].map(|rows| print_table(&rows));
+            [reference_rows(), calibration_rows(), firmware_rows()].map(|rows| format_table(&rows));
         let missing: Vec<_> =
             tables.iter().filter(|table| !page.contains(table.as_str())).cloned().collect();
         assert!(missing.is_empty(), "put this into docs/reference.md:\n{}", missing.join("\n"));

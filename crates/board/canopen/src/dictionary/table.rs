@@ -1,7 +1,7 @@
 //! The table itself.
 
 use trueup_link::layout::{
-    EMERGENCY_ID, EMERGENCY_INHIBIT_MS, HEARTBEAT_PERIOD_MS, SDO_REQUEST_ID, SDO_RESPONSE_ID,
+    EMERGENCY_ID, EMERGENCY_INHIBIT_TIME_MS, HEARTBEAT_PERIOD_MS, SDO_REQUEST_ID, SDO_RESPONSE_ID,
 };
 
 use super::{
@@ -84,7 +84,7 @@ pub const OBJECTS: &[Object] = &[
             "Inhibit time EMCY",
             DataType::U16,
             EntryContent::Inhibit,
-            10 * EMERGENCY_INHIBIT_MS,
+            10 * EMERGENCY_INHIBIT_TIME_MS,
         )],
     ),
     array_object(

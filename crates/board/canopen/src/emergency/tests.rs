@@ -49,7 +49,7 @@ fn the_dbc_names_every_fault_by_its_number() {
 fn each_fault_is_reported_when_it_comes_and_when_it_has_gone() {
     for fault in Fault::ALL {
         let mut all = EmergencyProducer::default();
-        let there = Faults::default().with_if(true, fault);
+        let there = Faults::default().with_fault_if(true, fault);
         let (code, number) = (fault.code(), fault as u8);
         assert_eq!(
             emergencies_after(&mut all, there, 100),
@@ -64,24 +64,24 @@ fn each_fault_is_reported_when_it_comes_and_when_it_has_gone() {
 #[test]
 fn a_fault_that_flickers_is_reported_no_more_often_than_the_inhibit_time_permits() {
     let mut all = EmergencyProducer::default();
-    let there = Faults::default().with_if(true, Fault::Sensor);
+    let there = Faults::default().with_fault_if(true, Fault::Sensor);
     let mut sent = 0;
     for _ in 0..500 {
         sent += emergencies_after(&mut all, there, 1).len()
             + emergencies_after(&mut all, Faults::default(), 1).len();
     }
     assert!((90..=100).contains(&sent), "{sent} in a second");
-    all.set_inhibit_time(1_000);
-    let both = there.with_if(true, Fault::Clamped);
+    all.set_inhibit_time_100us(1_000);
+    let both = there.with_fault_if(true, Fault::Clamped);
     assert!(emergencies_after(&mut all, both, 300).len() <= 3);
 }
 
 #[test]
 fn a_fault_of_one_tick_within_the_inhibit_time_is_reported_all_the_same() {
     let mut all = EmergencyProducer::default();
-    let sensor = Faults::default().with_if(true, Fault::Sensor);
+    let sensor = Faults::default().with_fault_if(true, Fault::Sensor);
     assert_eq!(emergencies_after(&mut all, sensor, 1).len(), 1);
-    let both = sensor.with_if(true, Fault::Clamped);
+    let both = sensor.with_fault_if(true, Fault::Clamped);
     assert_eq!(emergencies_after(&mut all, both, 1), []);
     assert_eq!(emergencies_after(&mut all, sensor, 50), [(0xFF02, 1, 7), (0, 1, 7)]);
 }
@@ -89,7 +89,8 @@ fn a_fault_of_one_tick_within_the_inhibit_time_is_reported_all_the_same() {
 #[test]
 fn every_bit_of_the_state_is_an_emergency_too() {
     for (bit, word) in StateBits::NAMES {
-        let tells = |fault: &Fault| Faults::default().with_if(true, *fault).state_bits() == bit;
+        let tells =
+            |fault: &Fault| Faults::default().with_fault_if(true, *fault).state_bits() == bit;
         assert!(Fault::ALL.iter().any(tells), "{word}");
     }
 }
@@ -101,7 +102,7 @@ fn a_second_source_that_is_lost_while_the_first_is_missing_is_reported() {
         thermometers.chain([Fault::Sensor, Fault::SamplesMissing, Fault::PlaceLost]).collect();
     let (mut all, mut now) = (EmergencyProducer::default(), Faults::default());
     for fault in sources {
-        now = now.with_if(true, fault);
+        now = now.with_fault_if(true, fault);
         let codes: Vec<u16> =
             emergencies_after(&mut all, now, 100).into_iter().map(|(code, ..)| code).collect();
         assert_eq!(codes, [fault.code()], "{fault:?}");
@@ -111,7 +112,7 @@ fn a_second_source_that_is_lost_while_the_first_is_missing_is_reported() {
 #[test]
 fn both_words_of_the_objects_hold_every_fault_at_its_number() {
     for fault in Fault::ALL {
-        let only = Faults::default().with_if(true, fault);
+        let only = Faults::default().with_fault_if(true, fault);
         let (low, high) = (only.low_word(), only.high_word());
         assert_eq!(u64::from(high) << 32 | u64::from(low), 1 << fault as u8, "{fault:?}");
         assert_eq!(Faults::from_words(low, high), only);
@@ -122,7 +123,7 @@ fn both_words_of_the_objects_hold_every_fault_at_its_number() {
 fn the_history_keeps_the_newest() {
     let mut all = EmergencyProducer::default();
     for fault in Fault::ALL {
-        emergencies_after(&mut all, Faults::default().with_if(true, fault), 20);
+        emergencies_after(&mut all, Faults::default().with_fault_if(true, fault), 20);
     }
     assert_eq!(all.error_count(), ERROR_HISTORY_LEN);
     let newest = Fault::ALL[Fault::ALL.len() - 1];
@@ -138,8 +139,8 @@ fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
         code: 0x8130,
         register: 0x11,
         fault: Fault::HeartbeatLost,
-        flags: Flags(0xA5),
-        quality: Quality::Hold,
+        flags: OffsetFlags(0xA5),
+        quality: OffsetQuality::Hold,
     };
     let frame = encode(&emergency);
     assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);

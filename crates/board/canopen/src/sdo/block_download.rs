@@ -39,11 +39,12 @@ pub(super) fn update_crc(crc: u16, byte: u8) -> u16 {
 impl BlockDownloadState {
     /// Returns whether a request of this command belongs to the transfer: a segment, or the end behind the last one.
     pub(super) const fn belongs_to_transfer(&self, command: u8) -> bool {
-        self.is_end(command) || matches!(command & !LAST_SEGMENT_FLAG, 1..=SEGMENTS_PER_BLOCK)
+        self.is_end_command(command)
+            || matches!(command & !LAST_SEGMENT_FLAG, 1..=SEGMENTS_PER_BLOCK)
     }
 
     /// Returns whether a command ends the transfer, after an answer to its last block.
-    const fn is_end(&self, command: u8) -> bool {
+    const fn is_end_command(&self, command: u8) -> bool {
         self.last.is_some() && !self.is_answer_due && command & 0xE3 == 0xC1
     }
 
@@ -109,7 +110,7 @@ impl Server {
     ) -> Result<Option<[u8; 8]>, AbortCode> {
         let &[head, ref data @ ..] = request;
         if let Some(last) = block.last
-            && block.is_end(head)
+            && block.is_end_command(head)
         {
             let &[low, high, ..] = data;
             let count = SEGMENT_BYTES.saturating_sub(usize::from(head >> 2 & 7));
@@ -144,7 +145,7 @@ impl Server {
     /// Returns the answer to a block, once there is room for the next one.
     pub(super) fn acknowledge_block(&mut self, objects: &impl ObjectAccess) -> Option<[u8; 8]> {
         let TransferState::Block { what, block, .. } = &mut self.phase else { return None };
-        if !block.is_answer_due || !objects.is_ready(*what) {
+        if !block.is_answer_due || !objects.has_room_for_block(*what) {
             return None;
         }
         block.is_answer_due = false;

@@ -90,12 +90,12 @@ impl Upload {
     /// Starts it, with the first request.
     #[must_use]
     pub fn start(at: ObjectAddress) -> (Self, Frame) {
-        Self::start_with_limit(at, MAX_UPLOAD_BYTES)
+        Self::start_with_size_limit(at, MAX_UPLOAD_BYTES)
     }
 
     /// Returns the same of an object that has at most this many bytes.
     #[must_use]
-    pub fn start_with_limit(at: ObjectAddress, most: u32) -> (Self, Frame) {
+    pub fn start_with_size_limit(at: ObjectAddress, most: u32) -> (Self, Frame) {
         let this = Self { at, toggle: None, announced: None, received: 0, most };
         (this, request_frame(encode_message(0x40, at, 0)))
     }
@@ -367,7 +367,7 @@ mod tests {
             (0, 100, 0, 2, "long"),
             (0, 100, 0, 1, "done"),
         ] {
-            let (mut upload, _) = Upload::start_with_limit(at, most);
+            let (mut upload, _) = Upload::start_with_size_limit(at, most);
             let mut bytes = Vec::new();
             let command = if announced == 0 { 0x40 } else { 0x41 };
             let mut last =

@@ -48,7 +48,7 @@ impl ObjectAccess for Fake {
         if self.domain.len() > MAX { Err(AbortCode::TooLong) } else { Ok(()) }
     }
 
-    fn is_ready(&self, _: EntryContent) -> bool {
+    fn has_room_for_block(&self, _: EntryContent) -> bool {
         !self.is_full
     }
 

@@ -14,7 +14,7 @@ pub const MIN_DISAGREEMENT_STEPS: u16 = 600;
 
 /// The elongation by the sources at a step of the heat.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PastElongation {
+pub(super) struct ElongationSample {
     /// The elongation that was reported.
     pub elongation: Nanometres,
     /// The elongation by each source on its own, in the order of [`ElongationSource::ALL`]; `None`: not available.
@@ -23,16 +23,16 @@ pub(super) struct PastElongation {
 
 /// Whether the sources grow alike.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct SourceAgreement {
+pub(super) struct SourceAgreementMonitor {
     /// The first source and another one when both were there for the first time, by the other one.
     began: [Option<(Nanometres, Nanometres)>; 3],
     /// For how many steps they have not.
     off_steps: u16,
 }
 
-impl SourceAgreement {
+impl SourceAgreementMonitor {
     /// A step of the heat, with what each source says; `first`: the one that the others are held against.
-    pub fn step(&mut self, first: Option<ElongationSource>, past: &PastElongation) {
+    pub fn step(&mut self, first: Option<ElongationSource>, past: &ElongationSample) {
         let of = |source: ElongationSource| past.raw.get(source as usize).copied().flatten();
         let first_now = first.and_then(of);
         let mut is_off = false;
@@ -76,7 +76,8 @@ mod tests {
         let mut uniform = || f64::from(next_random(&mut seed)) / 2_f64.powi(32);
         // Uniform steps of this size add up to a normal number of this RMS.
         let kick_nm = wander_nm * (2.0 / WANDER_STEPS).sqrt() * 12_f64.sqrt();
-        let (mut agreement, mut was_off, mut reported) = (SourceAgreement::default(), false, 0);
+        let (mut agreement, mut was_off, mut reported) =
+            (SourceAgreementMonitor::default(), false, 0);
         let (mut grown_nm, mut target_nm, mut steps_of_growth, mut left_nm) = (0.0, 0.0, 1.0, 0.0);
         for step in 0..hours * STEPS_PER_HOUR {
             // Every few minutes another speed, every few hours another start.
@@ -85,13 +86,14 @@ mod tests {
                 steps_of_growth = 10.0 * (300.0 + 1_500.0 * uniform());
             }
             if step == 0 || uniform() < 1.0 / 72_000.0 {
-                (agreement, was_off) = (SourceAgreement::default(), false);
+                (agreement, was_off) = (SourceAgreementMonitor::default(), false);
             }
             grown_nm += (target_nm - grown_nm) / steps_of_growth;
             left_nm += kick_nm * (uniform() - 0.5) - left_nm / WANDER_STEPS;
             let model_nm = grown_nm * (1.0 + share) + left_nm;
             let [sensor, model] = [grown_nm, model_nm].map(|nm| Some(Nanometres(nm as i32)));
-            let past = PastElongation { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
+            let past =
+                ElongationSample { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
             agreement.step(Some(ElongationSource::Sensor), &past);
             reported += u32::from(agreement.has_disagreement() && !was_off);
             was_off = agreement.has_disagreement();
@@ -154,10 +156,10 @@ mod tests {
             (19_999, 40_000, false),
             (100_000, 51_000, true),
         ] {
-            let mut agreement = SourceAgreement::default();
+            let mut agreement = SourceAgreementMonitor::default();
             let mut step = |first: i32, other: i32| {
                 let raw = [Some(Nanometres(first)), None, Some(Nanometres(other))];
-                let past = PastElongation { elongation: Nanometres(first), raw };
+                let past = ElongationSample { elongation: Nanometres(first), raw };
                 agreement.step(Some(ElongationSource::Sensor), &past);
                 agreement.has_disagreement()
             };

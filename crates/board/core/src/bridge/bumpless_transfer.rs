@@ -1,7 +1,7 @@
 //! Which source of the elongation is in use, and how it joins the one before: what `sources` decides,
 //! remembered from tick to tick.
 
-use super::agreement::{PastElongation, SourceAgreement};
+use super::agreement::{ElongationSample, SourceAgreementMonitor};
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The source of the elongation that is used.
@@ -42,7 +42,7 @@ pub(super) struct BumplessTransfer {
     /// An offset was followed, or the first source was there: from then on the elongation goes on.
     pub is_anchored: bool,
     /// The last steps of the heat, the oldest first; `None`: not by this source.
-    pub before: [Option<PastElongation>; HISTORY_STEPS],
+    pub before: [Option<ElongationSample>; HISTORY_STEPS],
     /// For how many steps of the heat the source has been in use.
     pub steps: u32,
     /// How long a better source has been fresh.
@@ -50,7 +50,7 @@ pub(super) struct BumplessTransfer {
     /// `last` was used before a reset, and nothing has been since.
     pub is_resumed: bool,
     /// Whether the sources grow alike.
-    pub agreement: SourceAgreement,
+    pub agreement: SourceAgreementMonitor,
 }
 
 /// The part of a joint that outlasts a reset.

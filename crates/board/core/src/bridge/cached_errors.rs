@@ -13,7 +13,7 @@ impl Bridge<'_> {
     /// Returns the state of a bridge that has just been switched on.
     #[must_use]
     pub fn initial_state(&self) -> State {
-        let errors = CachedErrors::from_place(
+        let errors = CachedErrors::from_position(
             &self.calibration,
             &MachineThermalState::default(),
             &MachinePosition::default(),
@@ -23,7 +23,7 @@ impl Bridge<'_> {
 
     /// Computes all errors. No tick and no message does: it takes as long as all the messages that change a part.
     pub fn compute_errors(&self, state: &mut State) {
-        state.errors = CachedErrors::from_place(&self.calibration, &state.heat, &state.place);
+        state.errors = CachedErrors::from_position(&self.calibration, &state.heat, &state.place);
         state.error_sums = None;
     }
 
@@ -38,11 +38,11 @@ impl Bridge<'_> {
 
     #[inline(never)]
     fn sum_errors(&self, state: &mut State) -> ErrorSums {
-        let sums = self.compute_sums(&mut state.errors, &state.place);
+        let sums = self.compute_error_sums(&mut state.errors, &state.place);
         *state.error_sums.insert(sums)
     }
 
-    fn compute_sums(&self, errors: &mut CachedErrors, place: &MachinePosition) -> ErrorSums {
+    fn compute_error_sums(&self, errors: &mut CachedErrors, place: &MachinePosition) -> ErrorSums {
         errors.sum_parts(&self.calibration, place);
         errors.errors().clamped_sums(self.largest)
     }
@@ -59,7 +59,7 @@ impl Bridge<'_> {
     ) {
         change(&mut state.errors, &state.heat, &state.place);
         state.error_sums = match &self.calibration.volume {
-            None => Some(self.compute_sums(&mut state.errors, &state.place)),
+            None => Some(self.compute_error_sums(&mut state.errors, &state.place)),
             Some(_) => None,
         };
     }
@@ -73,15 +73,15 @@ impl Bridge<'_> {
     }
 
     /// The heat of an axis has been stepped.
-    pub(super) fn update_axis_heat(&self, state: &mut State, axis: LinearAxis) {
+    pub(super) fn update_axis_thermal_error(&self, state: &mut State, axis: LinearAxis) {
         let calibration = &self.calibration;
         self.update_errors(state, |errors, heat, place| {
-            errors.update_axis_heat(calibration, heat, place, axis)
+            errors.update_axis_thermal_error(calibration, heat, place, axis)
         });
     }
 
     /// A term over temperature or time has been stepped.
-    pub(super) fn update_term_heat(&self, state: &mut State) {
+    pub(super) fn update_term_errors(&self, state: &mut State) {
         let calibration = &self.calibration;
         self.update_errors(state, |errors, heat, place| {
             errors.update_terms(calibration, heat, place)

@@ -12,14 +12,14 @@
 //! They come rarely, so they may be four times as old as `Control`. Changes go through the slew limit.
 
 use super::{Bridge, State, state::ReceivedConditions};
-use crate::cnc::Conditions;
+use crate::cnc::MachineConditions;
 
 /// They may be this many times as old as the CNC's sign of life.
 pub const CONDITIONS_TIMEOUT_FACTOR: u32 = 4;
 
 impl Bridge<'_> {
     /// Takes a message.
-    pub(super) fn receive_conditions(&self, state: &mut State, conditions: Conditions) {
+    pub(super) fn receive_conditions(&self, state: &mut State, conditions: MachineConditions) {
         if !self.needs.conditions {
             return;
         }
@@ -39,22 +39,22 @@ impl Bridge<'_> {
     /// Returns whether the offset can be followed: they are known, or were held long enough and the defaults stand
     /// in for them.
     #[inline]
-    pub(super) fn has_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
-        !self.needs.conditions || self.has_conditions_or_defaults(state, elapsed_ms)
+    pub(super) fn step_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+        !self.needs.conditions || self.step_required_conditions(state, elapsed_ms)
     }
 
     #[inline]
-    fn has_conditions_or_defaults(&self, state: &mut State, elapsed_ms: u32) -> bool {
+    fn step_required_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
         state.conditions.advance_ages(elapsed_ms);
         if self.are_conditions_lost(state) {
-            return self.fall_back_to_defaults(state);
+            return self.fall_back_to_default_conditions(state);
         }
         state.conditions.last.is_some()
     }
 
     #[cold]
     #[inline(never)]
-    fn fall_back_to_defaults(&self, state: &mut State) -> bool {
+    fn fall_back_to_default_conditions(&self, state: &mut State) -> bool {
         if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
             state.conditions.by_default = true;
             self.select_category(state, None);
@@ -62,8 +62,8 @@ impl Bridge<'_> {
         state.conditions.by_default
     }
 
-    fn select_category(&self, state: &mut State, conditions: Option<Conditions>) {
+    fn select_category(&self, state: &mut State, conditions: Option<MachineConditions>) {
         state.heat.set_conditions(&self.calibration, conditions);
-        self.update_term_heat(state);
+        self.update_term_errors(state);
     }
 }

@@ -27,7 +27,7 @@ impl Bridge<'_> {
         LostInputs {
             sensor: self.is_sensor_lost(state, self.are_samples_missing(state)),
             thermometers: state.channels.faulty_channels().intersection(self.needs.watched),
-            too_fast: state.channels.doubtful_channels(),
+            too_fast: state.channels.uncertain_channels(),
             place: is_received && !self.has_positions(state),
             conditions: is_received && self.needs.conditions && self.are_conditions_lost(state),
         }

@@ -1,6 +1,6 @@
 //! The error that counts as none: when `Zero` may take it, and how large it may be.
 
-use super::{Bridge, Reference, State, bumpless_transfer::SelectedSource};
+use super::{Bridge, ReferenceErrors, State, bumpless_transfer::SelectedSource};
 use crate::units::FineNanometres;
 
 impl Bridge<'_> {
@@ -16,7 +16,7 @@ impl Bridge<'_> {
         }
         self.clear_source_shift(state);
         let axes = self.axis_errors(state).sums;
-        let reference = Reference { elongation: self.elongation(state), axes };
+        let reference = ReferenceErrors { elongation: self.elongation(state), axes };
         let is_permitted = self.is_reference_permitted(&reference);
         if is_permitted {
             state.reference = reference;
@@ -27,7 +27,7 @@ impl Bridge<'_> {
     /// Returns whether a reference is no larger than a correction may be: the error of an axis its largest offset, the
     /// elongation the largest of the three.
     #[must_use]
-    pub fn is_reference_permitted(&self, reference: &Reference) -> bool {
+    pub fn is_reference_permitted(&self, reference: &ReferenceErrors) -> bool {
         let largest = self.largest.into_iter().max().unwrap_or_default();
         let elongation = i64::from(reference.elongation.0).unsigned_abs();
         let within = |(error, largest): (FineNanometres, FineNanometres)| {

@@ -6,7 +6,7 @@ use crate::{
     cnc::LinearAxis,
     dimensions::CHANNEL_COUNT,
     index_set::IndexSet,
-    term::{self, Effect, Factor, Target, Tilt, category_factor},
+    term::{self, CategoryFactor, Effect, Target, Tilt, category_factor},
     thermal_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, RateLimit},
     units::FineNanometres,
 };
@@ -54,7 +54,8 @@ impl RequiredInputs {
         let chain = calibration.spindle.chain;
         let terms = || calibration.terms.iter().flatten();
         let of_elongation = terms().any(|term| term.target == Target::Elongation);
-        let by_speed = terms().any(|term| category_factor(&term.effect) == Some(Factor::Speed2));
+        let by_speed =
+            terms().any(|term| category_factor(&term.effect) == Some(CategoryFactor::Speed2));
         let volume_angles =
             calibration.volume.is_some_and(|volume| volume.depends_on_rotary_angles());
         let turns_growth = calibration.kinematics.axes.iter().any(Option::is_some)
@@ -73,7 +74,7 @@ impl RequiredInputs {
                     let effect = &term.effect;
                     matches!(effect, Effect::Speed(_) | Effect::SpeedHeat { .. } | Effect::Load(_))
                 }),
-            heat_terms: term::heat_terms(&calibration.terms),
+            heat_terms: term::thermal_term_indices(&calibration.terms),
             terms: of_elongation,
             walked_terms: term::elongation_term_count(&calibration.terms),
             sensor: chain.contains(&Some(ElongationSource::Sensor)),
@@ -127,7 +128,7 @@ impl RequiredInputs {
                     position(lever);
                 }
                 (effect, Target::Axis(axis))
-                    if category_factor(&effect) == Some(Factor::Position) =>
+                    if category_factor(&effect) == Some(CategoryFactor::Position) =>
                 {
                     position(axis);
                 }

@@ -12,7 +12,7 @@
 
 use super::{Bridge, State};
 use crate::{
-    cnc::{LinearAxis, Output, Quality},
+    cnc::{LinearAxis, OffsetQuality, Output},
     fixed_point::rounding_shift_right,
     gradient::Gradient,
     units::{FineNanometres, Nanometres, Position},
@@ -21,7 +21,7 @@ use crate::{
 /// Nanometres of a bit of the constant, and nm/m of a bit of the slope.
 pub const SLOPE_RESOLUTION_NM: i32 = 100;
 /// The largest constant and slope, either way, in bits.
-pub const MAX_MAGNITUDE: i16 = i16::MAX;
+pub const MAX_WIRE_VALUE: i16 = i16::MAX;
 
 /// Position units in a metre.
 const POSITION_UNITS_PER_METRE: u32 = 1_000 * Position::PER_MILLIMETRE.unsigned_abs();
@@ -58,13 +58,16 @@ impl Bridge<'_> {
         let origin = thermal.map_or(Position::default(), |thermal| thermal.origin);
         let position = state.place.axis_position(axis);
         let goal = match (thermal, last.quality) {
-            (Some(_), Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel) => {
+            (
+                Some(_),
+                OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel,
+            ) => {
                 let (_, gradient) = state.heat.axis_expansion(number);
                 slope_from_error(
                     state.heat.learned.apply_to_expansion(number, slope_from_gradient(gradient)),
                 )
             }
-            (Some(_), Quality::Hold) => sent,
+            (Some(_), OffsetQuality::Hold) => sent,
             _ => 0,
         };
         let away = position.0.abs_diff(origin.0).max(POSITION_UNITS_PER_METRE);
@@ -96,7 +99,7 @@ fn slope_from_gradient(gradient: Gradient) -> FineNanometres {
 /// Returns the slope of the offset against an error that grows by this much.
 fn slope_from_error(error: FineNanometres) -> i16 {
     let bits = error.rounded().saturating_neg().0;
-    let held = bits.clamp(i32::from(MAX_MAGNITUDE).saturating_neg(), MAX_MAGNITUDE.into());
+    let held = bits.clamp(i32::from(MAX_WIRE_VALUE).saturating_neg(), MAX_WIRE_VALUE.into());
     i16::try_from(held).unwrap_or_default()
 }
 
@@ -115,7 +118,7 @@ fn max_slope_step(slew_nm_per_s: u32, elapsed_ms: u32, away: u32) -> i16 {
     let per_metre =
         nm.saturating_mul(POSITION_UNITS_PER_METRE.into()).checked_div(away.into()).unwrap_or(0);
     let bits = per_metre.checked_div(SLOPE_RESOLUTION_NM.unsigned_abs().into()).unwrap_or(0);
-    i16::try_from(bits).unwrap_or(MAX_MAGNITUDE).max(1)
+    i16::try_from(bits).unwrap_or(MAX_WIRE_VALUE).max(1)
 }
 
 #[cfg(test)]
@@ -147,6 +150,6 @@ mod tests {
         assert_eq!(max_slope_step(20_000, 1_500, POSITION_UNITS_PER_METRE), 300);
         assert_eq!(max_slope_step(20_000, 1_500, 10 * POSITION_UNITS_PER_METRE), 30);
         assert_eq!(max_slope_step(1, 100, POSITION_UNITS_PER_METRE), 1);
-        assert_eq!(max_slope_step(u32::MAX, u32::MAX, POSITION_UNITS_PER_METRE), MAX_MAGNITUDE);
+        assert_eq!(max_slope_step(u32::MAX, u32::MAX, POSITION_UNITS_PER_METRE), MAX_WIRE_VALUE);
     }
 }

@@ -5,7 +5,7 @@
 //! the elongation go on where it was: from there the spindle grows as this source says. Back on the first
 //! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and reported
 //! as an offset on its way. A source
-//! that returns is asked again only once it has been fresh for [`SOURCE_RETURN_MS`].
+//! that returns is asked again only once it has been fresh for [`SOURCE_RETURN_DELAY_MS`].
 //!
 //! As long as none is used a fall-back waits until the sources before it are dead, which is known
 //! within half a second: else it would be shifted against one that only has not come yet. And its zero is not
@@ -15,13 +15,13 @@
 
 use super::{
     Bridge, State,
-    agreement::PastElongation,
+    agreement::ElongationSample,
     bumpless_transfer::{BumplessTransfer, HISTORY_STEPS, RetainedTransfer, SelectedSource},
 };
 use crate::{
-    bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS},
+    bridge::state::{ReferenceErrors, SAMPLES_TIMEOUT_MS, STALE_DURATION_AFTER_LOSS_MS},
     calibration::ElongationSource,
-    cnc::Quality,
+    cnc::OffsetQuality,
     dimensions::THERMAL_STEP_MS,
     term::{self, OperatingPoint},
     tip_error,
@@ -29,9 +29,9 @@ use crate::{
 };
 
 /// A source that returns has to be fresh for this time: five times the longest window of the filter.
-pub const SOURCE_RETURN_MS: u32 = 1_000;
+pub const SOURCE_RETURN_DELAY_MS: u32 = 1_000;
 /// The same in steps of the heat; for as long the shift of a source that has taken over stays unchanged.
-const SOURCE_RETURN_STEPS: u32 = SOURCE_RETURN_MS / THERMAL_STEP_MS;
+const SOURCE_RETURN_DELAY_STEPS: u32 = SOURCE_RETURN_DELAY_MS / THERMAL_STEP_MS;
 
 /// (Nanometres a second)·milliseconds in a nanometre.
 const MILLISECONDS_PER_SECOND: u32 = 1_000;
@@ -80,10 +80,10 @@ impl Bridge<'_> {
         let returned_ms = if stays && best != present && state.joint.is_anchored {
             state.joint.returned_ms.saturating_add(elapsed_ms)
         } else {
-            SOURCE_RETURN_MS
+            SOURCE_RETURN_DELAY_MS
         };
         state.joint.returned_ms = if best == present { 0 } else { returned_ms };
-        if best != present && returned_ms >= SOURCE_RETURN_MS {
+        if best != present && returned_ms >= SOURCE_RETURN_DELAY_MS {
             self.switch_source(state, best);
         }
         state.joint.selected
@@ -113,7 +113,7 @@ impl Bridge<'_> {
                 let oldest = state.joint.before.into_iter().flatten().next();
                 let (joins_at, raw_value) = match oldest.filter(|_| !stays) {
                     // Where the two were at that time: it shows how the spindle has grown since.
-                    Some(PastElongation { elongation, raw }) => {
+                    Some(ElongationSample { elongation, raw }) => {
                         let raw_value = raw.get(source as usize).copied().flatten();
                         (
                             elongation,
@@ -143,7 +143,7 @@ impl Bridge<'_> {
             let raw = ElongationSource::ALL.map(|source| {
                 self.is_fresh(state, source).then(|| self.raw_elongation(state, source))
             });
-            let now = PastElongation { elongation: self.elongation(state), raw };
+            let now = ElongationSample { elongation: self.elongation(state), raw };
             // A thermometer that says nothing new may be about to be given up: the next source
             // is to show what the spindle grows meanwhile.
             if self.is_available(state, source) {
@@ -154,7 +154,7 @@ impl Bridge<'_> {
         }
         // Not in its first second: then the offset goes on with the growth, and nothing else moves it.
         state.joint.steps = state.joint.steps.saturating_add(1);
-        if state.joint.steps > SOURCE_RETURN_STEPS && self.is_source_shift_decaying(state) {
+        if state.joint.steps > SOURCE_RETURN_DELAY_STEPS && self.is_source_shift_decaying(state) {
             let rate = self.calibration.limits.rejoin_nm_per_s;
             let BumplessTransfer { shift, rest, .. } = &mut state.joint;
             let due = rate.saturating_mul(THERMAL_STEP_MS).saturating_add(*rest);
@@ -195,10 +195,10 @@ impl Bridge<'_> {
     fn is_spindle_temperature_held(&self, state: &State) -> bool {
         let law = self.calibration.spindle.temperature.as_ref();
         law.is_some_and(|law| {
-            state.channels.doubtful_channels().contains(law.channel.into())
+            state.channels.uncertain_channels().contains(law.channel.into())
                 && state.channels.temperature(law.channel).is_some()
                 && state.heat.has_spindle_temperature()
-                && (!state.heat.is_unknown() || !law.has_memory())
+                && (!state.heat.is_unknown() || !law.has_lag())
         })
     }
 
@@ -240,7 +240,7 @@ impl Bridge<'_> {
     fn has_common_zero(&self, state: &State, source: ElongationSource) -> bool {
         self.needs.first == Some(source)
             || state.joint.is_anchored
-            || state.reference == Reference::default()
+            || state.reference == ReferenceErrors::default()
     }
 
     fn is_fresh(&self, state: &State, source: ElongationSource) -> bool {
@@ -250,9 +250,9 @@ impl Bridge<'_> {
             ElongationSource::Temperature => spindle.temperature.is_some_and(|temperature| {
                 let channel = temperature.channel;
                 state.channels.temperature(channel).is_some()
-                    && !state.channels.doubtful_channels().contains(channel.into())
+                    && !state.channels.uncertain_channels().contains(channel.into())
                     && state.heat.has_spindle_temperature()
-                    && (!state.heat.is_unknown() || !temperature.has_memory())
+                    && (!state.heat.is_unknown() || !temperature.has_lag())
             }),
             ElongationSource::Warmup => spindle.warmup.is_some() && !state.heat.is_unknown(),
         }
@@ -262,7 +262,9 @@ impl Bridge<'_> {
     fn is_available(&self, state: &State, source: ElongationSource) -> bool {
         let temperature = &self.calibration.spindle.temperature;
         source != ElongationSource::Temperature
-            || temperature.is_none_or(|temperature| state.channels.is_current(temperature.channel))
+            || temperature.is_none_or(|temperature| {
+                state.channels.has_valid_last_reading(temperature.channel)
+            })
     }
 
     /// Returns whether a source has failed and gives nothing. A source that has only not come yet is not dead.
@@ -272,11 +274,11 @@ impl Bridge<'_> {
             ElongationSource::Sensor => {
                 state.codes_age.is_older_than(SAMPLES_TIMEOUT_MS)
                     || !state.believable
-                    || !state.starved_age.is_older_than(STALE_AFTER_LOSS_MS)
+                    || !state.starved_age.is_older_than(STALE_DURATION_AFTER_LOSS_MS)
             }
             ElongationSource::Temperature => spindle.temperature.is_none_or(|temperature| {
                 state.channels.is_faulty(temperature.channel)
-                    || (state.heat.is_unknown() && temperature.has_memory())
+                    || (state.heat.is_unknown() && temperature.has_lag())
             }),
             ElongationSource::Warmup => spindle.warmup.is_none() || state.heat.is_unknown(),
         }
@@ -352,12 +354,12 @@ impl Bridge<'_> {
     }
 
     /// Returns the quality of an offset that is followed: how far down the chain its source stands.
-    pub(super) fn quality(&self, selected: SelectedSource) -> Quality {
+    pub(super) fn quality(&self, selected: SelectedSource) -> OffsetQuality {
         match selected.source() {
-            Some(source) if self.needs.first == Some(source) => Quality::Live,
-            Some(ElongationSource::Temperature) => Quality::TemperatureModel,
-            Some(ElongationSource::Warmup) => Quality::WarmUpModel,
-            _ => Quality::Live,
+            Some(source) if self.needs.first == Some(source) => OffsetQuality::Live,
+            Some(ElongationSource::Temperature) => OffsetQuality::TemperatureModel,
+            Some(ElongationSource::Warmup) => OffsetQuality::WarmUpModel,
+            _ => OffsetQuality::Live,
         }
     }
 }

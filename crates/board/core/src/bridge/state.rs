@@ -4,7 +4,7 @@ use super::bumpless_transfer::BumplessTransfer;
 use crate::{
     axis_errors::{CachedErrors, ErrorSums},
     calibration::AxisModel,
-    cnc::{AxisPosition, Conditions, Control, Spindle},
+    cnc::{AxisPosition, Control, MachineConditions, SpindleState},
     dead_band_filter::DeadBandFilter,
     dimensions::CHANNEL_COUNT,
     filter::Filter,
@@ -12,11 +12,11 @@ use crate::{
     limits::AppliedOffset,
     machine_position::MachinePosition,
     run_out::RunOutMonitor,
-    sensor_health::{Noise, SensorHealth},
+    sensor_health::{NoiseStatistics, SensorHealth},
     supply::SupplyScale,
     temperature_channels::{RawTemperatures, TemperatureChannels},
     thermal_state::MachineThermalState,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::{FineNanometres, MicroDegrees, Nanometres, Position, Temperature, TimestampMs},
 };
 
@@ -24,7 +24,7 @@ use crate::{
 pub const SAMPLES_TIMEOUT_MS: u32 = 20;
 /// After blocks were missing the reading counts as stale for this time: many turns of the supervisor that
 /// looks for them, so that it does not flicker.
-pub const STALE_AFTER_LOSS_MS: u32 = 100;
+pub const STALE_DURATION_AFTER_LOSS_MS: u32 = 100;
 /// After this time without a temperature its channel counts as bad.
 pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
@@ -34,7 +34,7 @@ pub const POSITION_JITTER_MS: u32 = 20;
 /// After a jump this many more have to follow from it before they are believed.
 const MIN_CONFIRMING_POSITIONS: u8 = 3;
 /// A jump is reported for this time: many turns of what looks for it, so that it does not flicker.
-pub const JUMP_REPORT_MS: u32 = 100;
+pub const JUMP_REPORT_DURATION_MS: u32 = 100;
 
 /// Where the offset is to go.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -53,10 +53,10 @@ pub struct State {
     pub(super) filter: Filter,
     pub(super) run_out: RunOutMonitor,
     pub(super) control: ReceivedMessage<Control>,
-    pub(super) spindle: ReceivedMessage<Spindle>,
+    pub(super) spindle: ReceivedMessage<SpindleState>,
     pub(super) conditions: ReceivedConditions,
     /// The angles of the head, and where they point the tool.
-    pub(super) tool: ReceivedMessage<([MicroDegrees; 2], Direction)>,
+    pub(super) tool: ReceivedMessage<([MicroDegrees; 2], ToolDirection)>,
     pub(super) place: MachinePosition,
     pub(super) position_age: [Age; 3],
     /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
@@ -86,7 +86,7 @@ pub struct State {
     pub(super) errors: CachedErrors,
     /// Their sums; `None`: a part has changed since.
     pub(super) error_sums: Option<ErrorSums>,
-    pub(super) reference: Reference,
+    pub(super) reference: ReferenceErrors,
     /// A `Zero` has taken it, and [`Self::take_zero_event`] has not reported it.
     pub(super) zeroed: bool,
     /// How long ago the offset was last live; `None` if it is not to be held.
@@ -102,7 +102,7 @@ pub struct State {
 
 /// The error that counts as none: what `Zero` has taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Reference {
+pub struct ReferenceErrors {
     /// The elongation in nm, along the tool: it turns with it.
     pub elongation: Nanometres,
     /// The sums of the errors of X, Y and Z in 1/256 nm.
@@ -168,7 +168,7 @@ impl<T: Copy> ReceivedMessage<T> {
 /// The tool and conditions last received, and their age.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ReceivedConditions {
-    pub last: Option<Conditions>,
+    pub last: Option<MachineConditions>,
     /// Milliseconds since the last message, at first since the start; stays at its largest value.
     pub age_ms: u32,
     /// The offset goes by the defaults.
@@ -202,7 +202,7 @@ impl ReportedPosition {
         rapid: u32,
     ) -> bool {
         let reach =
-            rapid.saturating_mul(now.duration_since(self.at).saturating_add(POSITION_JITTER_MS));
+            rapid.saturating_mul(now.duration_ms_since(self.at).saturating_add(POSITION_JITTER_MS));
         let jumps = !is_first && self.position.0.abs_diff(position.0) > reach;
         let caveat =
             if jumps { MIN_CONFIRMING_POSITIONS } else { self.uncertainty_ticks.saturating_sub(1) };
@@ -274,7 +274,7 @@ impl State {
     /// Returns the tool and the conditions that were last received, where a term needs them; and whether they are lost and
     /// the defaults stand in.
     #[must_use]
-    pub fn conditions(&self) -> (Option<Conditions>, bool) {
+    pub fn conditions(&self) -> (Option<MachineConditions>, bool) {
         (self.conditions.last, self.conditions.by_default)
     }
 
@@ -292,7 +292,7 @@ impl State {
     /// too fast.
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
-        let is_held = self.channels.doubtful_channels().contains(channel.into());
+        let is_held = self.channels.uncertain_channels().contains(channel.into());
         self.channels.temperature(channel).filter(|_| !is_held)
     }
 
@@ -315,7 +315,7 @@ impl State {
 
     /// Returns the error that counts as none.
     #[must_use]
-    pub fn reference(&self) -> Reference {
+    pub fn reference(&self) -> ReferenceErrors {
         self.reference
     }
 
@@ -325,7 +325,7 @@ impl State {
     }
 
     /// Takes up a reference that was stored.
-    pub fn set_reference(&mut self, reference: Reference) {
+    pub fn set_reference(&mut self, reference: ReferenceErrors) {
         self.reference = reference;
     }
 
@@ -336,8 +336,8 @@ impl State {
     }
 
     /// Returns the noise of the raw codes since the last call.
-    pub fn take_noise(&mut self) -> Noise {
-        self.health.take_noise()
+    pub fn take_noise_statistics(&mut self) -> NoiseStatistics {
+        self.health.take_noise_statistics()
     }
 
     /// Returns whether the sensor shows something that no spindle does: a jump, or another run-out at the same
@@ -382,11 +382,11 @@ impl State {
     /// Returns whether a position has come of late that is not believed: its axis could not have reached it.
     #[must_use]
     pub fn has_position_jumped(&self) -> bool {
-        !self.jump_age.is_older_than(JUMP_REPORT_MS)
+        !self.jump_age.is_older_than(JUMP_REPORT_DURATION_MS)
     }
 
     /// Takes the angles of the head, and where they point the tool.
-    pub(super) fn receive_angles(&mut self, angles: [MicroDegrees; 2], direction: Direction) {
+    pub(super) fn receive_angles(&mut self, angles: [MicroDegrees; 2], direction: ToolDirection) {
         let [.., moving] = &mut self.moving;
         *moving = self.tool.latest().is_some_and(|(before, _)| before != angles);
         self.tool.receive((angles, direction));
@@ -422,7 +422,7 @@ impl State {
         self.elongation.is_some()
             && self.believable
             && !self.elongation_age.is_older_than(SAMPLES_TIMEOUT_MS)
-            && self.starved_age.is_older_than(STALE_AFTER_LOSS_MS)
+            && self.starved_age.is_older_than(STALE_DURATION_AFTER_LOSS_MS)
     }
 
     /// Blocks of samples are missing, by a clock that does not count them: what the filter has is

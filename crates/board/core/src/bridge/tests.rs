@@ -13,10 +13,10 @@ mod timeouts;
 use super::*;
 use crate::{
     calibration::AxisThermalModel,
-    cnc::{AxisPosition, Control, LinearAxis, Spindle, TravelDirection},
+    cnc::{AxisPosition, Control, LinearAxis, SpindleState, TravelDirection},
     kinematics,
     lag::SmoothingFactor,
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     testing::minimal_calibration,
     thermal::ThermalExpansionLaw,
     thermometer::{RawReading, Thermometer},
@@ -28,7 +28,7 @@ fn calibration() -> Calibration<'static> {
     let mut calibration = minimal_calibration();
     calibration.spindle.chain[0] = Some(ElongationSource::Sensor);
     calibration.spindle.sensor =
-        SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: Slope(1 << 28) };
+        SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: SensorSlope(1 << 28) };
     calibration
 }
 const ENGAGED: Control = Control::ENGAGED;
@@ -53,7 +53,8 @@ impl Rig {
 
     fn tick(&mut self, codes: Option<[AdcCode; CODES_PER_TICK]>) -> Output {
         self.now = self.now.wrapping_add_ms(1);
-        let input = Input { codes: codes.as_ref(), speed: Some(Rpm(24_000)), temperatures: None };
+        let input =
+            TickInput { codes: codes.as_ref(), speed: Some(Rpm(24_000)), temperatures: None };
         self.last = self.bridge.tick(&mut self.state, self.now, input);
         self.last
     }
@@ -92,9 +93,9 @@ fn a_spindle_that_grows_is_lifted() {
     let mut rig = Rig::new(calibration());
     // 50 codes are 51.2 µm of growth: the tool tip is too low, the offset goes up.
     let output = rig.run_engaged(200, 1050);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
     assert_eq!(output.offset, Some([Nanometres(0), Nanometres(0), Nanometres(51_200)]));
-    assert_eq!(output.flags, Flags::NONE);
+    assert_eq!(output.flags, OffsetFlags::NONE);
     assert_eq!(output.age_ms, 0);
 }
 
@@ -102,8 +103,8 @@ fn a_spindle_that_grows_is_lifted() {
 fn nothing_is_engaged_before_the_first_control() {
     let mut rig = Rig::new(calibration());
     let output = rig.run(5_000, 1050);
-    assert_eq!((output.quality, output.offset), (Quality::Off, Some([Nanometres(0); 3])));
-    assert!(!output.flags.contains(Flags::CNC_LOST), "what was never there is not lost");
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Off, Some([Nanometres(0); 3])));
+    assert!(!output.flags.contains(OffsetFlags::CNC_LOST), "what was never there is not lost");
 }
 
 #[test]
@@ -114,7 +115,7 @@ fn it_takes_both_engage_and_referenced() {
             rig.control(Control { engage, referenced, ..Control::default() });
             rig.run(20, 1050);
         }
-        assert_eq!(rig.last.quality, Quality::Off);
+        assert_eq!(rig.last.quality, OffsetQuality::Off);
         assert_eq!(rig.z_nm(), 0);
     }
 }
@@ -127,7 +128,7 @@ fn engaging_and_disengaging_ramp_at_the_slew_limit_and_report_it() {
     for ms in 1..=52 {
         rig.run_engaged(1, 1050);
         assert!((rig.z_nm() - before).abs() <= 1_000, "at {ms} ms");
-        assert_eq!(rig.last.flags.contains(Flags::SLEWING), ms < 52);
+        assert_eq!(rig.last.flags.contains(OffsetFlags::SLEWING), ms < 52);
         before = rig.z_nm();
     }
     assert_eq!(before, 51_200);
@@ -136,10 +137,10 @@ fn engaging_and_disengaging_ramp_at_the_slew_limit_and_report_it() {
         rig.run(1, 1050);
         assert_eq!(
             rig.last.quality,
-            if left > 0 || rig.z_nm() > 0 { Quality::RampingOut } else { Quality::Off }
+            if left > 0 || rig.z_nm() > 0 { OffsetQuality::RampingOut } else { OffsetQuality::Off }
         );
     }
-    assert_eq!((rig.z_nm(), rig.last.quality), (0, Quality::Off));
+    assert_eq!((rig.z_nm(), rig.last.quality), (0, OffsetQuality::Off));
 }
 
 #[test]
@@ -148,22 +149,22 @@ fn a_silent_cnc_is_lost_after_500_ms_held_for_2_s_and_ramped_out() {
     rig.run_engaged(200, 1050);
     rig.control(ENGAGED);
     rig.run(500, 1050);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     rig.run(1, 1050);
-    assert_eq!(rig.last.quality, Quality::Hold);
-    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    assert_eq!(rig.last.quality, OffsetQuality::Hold);
+    assert!(rig.last.flags.contains(OffsetFlags::CNC_LOST));
     // While it is held the spindle may grow as it likes.
     rig.run(1_999, 1090);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Hold, 51_200));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Hold, 51_200));
     rig.run(1, 1090);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::RampingOut, 50_200));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::RampingOut, 50_200));
     rig.run(60, 1090);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Off, 0));
-    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Off, 0));
+    assert!(rig.last.flags.contains(OffsetFlags::CNC_LOST));
     // It comes back: no jump.
     rig.run_engaged(1, 1090);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 1_000));
-    assert!(!rig.last.flags.contains(Flags::CNC_LOST));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 1_000));
+    assert!(!rig.last.flags.contains(OffsetFlags::CNC_LOST));
 }
 
 #[test]
@@ -178,18 +179,18 @@ fn a_broken_wire_holds_then_ramps_out_then_is_not_available() {
         rig.tick(Some([AdcCode(0); CODES_PER_TICK]));
         let after = rig.last.offset.map_or(0, |offset| offset[2].0);
         assert!((after - before).abs() <= 1_000, "a jump at {ms} ms");
-        assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+        assert!(rig.last.flags.contains(OffsetFlags::SENSOR_FAULT));
         if ms <= 2_000 {
-            assert_eq!((rig.last.quality, after), (Quality::Hold, 51_200), "at {ms} ms");
+            assert_eq!((rig.last.quality, after), (OffsetQuality::Hold, 51_200), "at {ms} ms");
         }
     }
-    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    assert_eq!((rig.last.quality, rig.last.offset), (OffsetQuality::Fault, None));
     assert_eq!(rig.last.age_ms, 255);
     // The wire is mended: 10 ms of good codes and a full filter later it ramps in again.
     rig.run_engaged(13, 1050);
-    assert_ne!(rig.last.quality, Quality::Live);
+    assert_ne!(rig.last.quality, OffsetQuality::Live);
     rig.run_engaged(1, 1050);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 1_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 1_000));
     rig.run_engaged(60, 1050);
     assert_eq!(rig.z_nm(), 51_200);
 }
@@ -202,21 +203,21 @@ fn missing_samples_are_flagged_held_and_end_in_not_available() {
     for ms in 1..=2_200_u32 {
         rig.control(ENGAGED);
         rig.tick(None);
-        assert_eq!(rig.last.flags.contains(Flags::SAMPLES_MISSING), ms > SAMPLES_TIMEOUT_MS);
-        if rig.last.quality == Quality::Hold {
+        assert_eq!(rig.last.flags.contains(OffsetFlags::SAMPLES_MISSING), ms > SAMPLES_TIMEOUT_MS);
+        if rig.last.quality == OffsetQuality::Hold {
             hold_ends = ms;
         }
     }
     assert_eq!(hold_ends, SAMPLES_TIMEOUT_MS + 2_000);
-    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    assert_eq!((rig.last.quality, rig.last.offset), (OffsetQuality::Fault, None));
 }
 
 #[test]
 fn a_board_without_samples_is_not_available_from_the_first_tick() {
     let mut rig = Rig::new(calibration());
     let output = rig.tick(None);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
-    assert_eq!((output.flags, output.age_ms), (Flags::SAMPLES_MISSING, 255));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
+    assert_eq!((output.flags, output.age_ms), (OffsetFlags::SAMPLES_MISSING, 255));
 }
 
 #[test]
@@ -248,7 +249,7 @@ fn the_clamp_is_reported() {
     let mut rig = Rig::new(calibration());
     let output = rig.run_engaged(900, 1900);
     assert_eq!(rig.z_nm(), 500_000);
-    assert!(output.flags.contains(Flags::CLAMPED));
+    assert!(output.flags.contains(OffsetFlags::CLAMPED));
 }
 
 #[test]
@@ -256,9 +257,9 @@ fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
     let mut rig = Rig::new(calibration());
     for ms in 0..450_u16 {
         let codes = core::array::from_fn(|n| AdcCode(1000 + (n % 2) as u16 + ms % 2));
-        let input = Input { codes: Some(&codes), ..Input::default() };
+        let input = TickInput { codes: Some(&codes), ..TickInput::default() };
         let output = rig.bridge.tick(&mut rig.state, TimestampMs(u32::from(ms) + 1), input);
-        assert!(output.flags.contains(Flags::SPEED_UNKNOWN));
+        assert!(output.flags.contains(OffsetFlags::SPEED_UNKNOWN));
         assert_eq!(rig.state.elongation().is_some(), ms >= 399, "at {ms} ms");
     }
 }
@@ -266,14 +267,14 @@ fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
 #[test]
 fn the_speed_of_the_cnc_wins_while_it_is_fresh() {
     let mut rig = Rig::new(calibration());
-    let spindle = Spindle { speed: Rpm(60_000), load_n: 0 };
+    let spindle = SpindleState { speed: Rpm(60_000), load_n: 0 };
     rig.bridge.receive(&mut rig.state, CncMessage::Spindle(spindle));
     for ms in 1..=3 {
         let codes = core::array::from_fn(|n| AdcCode(1000 + (n % 2) as u16));
         rig.bridge.tick(
             &mut rig.state,
             TimestampMs(ms),
-            Input { codes: Some(&codes), ..Input::default() },
+            TickInput { codes: Some(&codes), ..TickInput::default() },
         );
     }
     // Two windows of 5 samples are full after 2 ms; two of 200 ms would not be.
@@ -324,7 +325,7 @@ fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
         let mut raw = [RawReading::NONE; CHANNEL_COUNT];
         raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
     rig.last
@@ -336,7 +337,7 @@ fn an_axis_that_has_grown_is_taken_back_along_itself() {
     // 1 K and 1 m: +100 µm of error, so the offset is −100 µm; and it needs no sensor.
     let output = warm(&mut rig, 300, Some(21), 1_000);
     assert_eq!(output.offset, Some([Nanometres(-100_000), Nanometres(0), Nanometres(0)]));
-    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    assert_eq!((output.quality, output.flags), (OffsetQuality::Live, OffsetFlags::NONE));
     // On the other side of the origin the error turns round.
     let output = warm(&mut rig, 300, Some(21), -1_000);
     assert_eq!(output.offset, Some([Nanometres(100_000), Nanometres(0), Nanometres(0)]));
@@ -347,7 +348,7 @@ fn a_part_beyond_its_limit_is_held_and_reported() {
     let mut rig = Rig::new(expanding());
     let output = warm(&mut rig, 500, Some(24), 1_000);
     assert_eq!(output.offset, Some([Nanometres(-200_000), Nanometres(0), Nanometres(0)]));
-    assert!(output.flags.contains(Flags::CLAMPED));
+    assert!(output.flags.contains(OffsetFlags::CLAMPED));
 }
 
 #[test]
@@ -356,15 +357,15 @@ fn a_broken_thermometer_holds_then_ramps_out_then_is_not_available() {
     warm(&mut rig, 300, Some(21), 1_000);
     // A spark of 300 ms is nothing; the fourth bad reading is a fault.
     let output = warm(&mut rig, 299, None, 1_000);
-    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    assert_eq!((output.quality, output.flags), (OffsetQuality::Live, OffsetFlags::NONE));
     let output = warm(&mut rig, 200, None, 1_000);
-    assert_eq!(output.quality, Quality::Hold);
-    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!(output.quality, OffsetQuality::Hold);
+    assert!(output.flags.contains(OffsetFlags::SENSOR_FAULT));
     assert_eq!(output.offset.unwrap()[0], Nanometres(-100_000));
     let output = warm(&mut rig, 2_500, None, 1_000);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
     let output = warm(&mut rig, 500, Some(21), 1_000);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -375,8 +376,8 @@ fn without_the_position_that_it_needs_it_does_not_follow_and_says_that_the_cnc_i
         rig.control(ENGAGED);
         rig.tick(None);
     }
-    assert_eq!(rig.last.quality, Quality::Hold);
-    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    assert_eq!(rig.last.quality, OffsetQuality::Hold);
+    assert!(rig.last.flags.contains(OffsetFlags::CNC_LOST));
 }
 
 #[test]
@@ -421,10 +422,10 @@ fn a_tilted_head_takes_growth_to_both_axes() {
     machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];
     let mut rig = Rig::new(machine);
     // Without an angle nobody knows where the tool points.
-    assert_eq!(rig.run_engaged(200, 1050).quality, Quality::Off);
+    assert_eq!(rig.run_engaged(200, 1050).quality, OffsetQuality::Off);
     for _ in 0..300 {
         let angles = [MicroDegrees(30_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(RotaryAxisAngles { angles }));
         rig.run_engaged(1, 1100);
     }
     // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.
@@ -438,6 +439,9 @@ fn it_reports_the_time_of_its_last_tick_and_the_noise_since_the_last_request() {
     rig.run(5, 1050);
     assert_eq!(rig.state.now(), TimestampMs(5));
     // −1, 0, 1, 0: every other second difference is 2. The first block goes on from nothing.
-    assert_eq!(rig.state.take_noise(), crate::sensor_health::Noise { squares: 4 * 40, count: 80 });
-    assert_eq!(rig.state.take_noise(), crate::sensor_health::Noise::default());
+    assert_eq!(
+        rig.state.take_noise_statistics(),
+        crate::sensor_health::NoiseStatistics { squares: 4 * 40, count: 80 }
+    );
+    assert_eq!(rig.state.take_noise_statistics(), crate::sensor_health::NoiseStatistics::default());
 }

@@ -28,13 +28,13 @@ impl Segment {
     pub const fn new(end: Position, shift: u8, coefficients: [i32; 4]) -> Self {
         let shift = shift & 31;
         let [c0, c1, c2, c3] = coefficients;
-        let bits = Self::rotation(shift);
+        let bits = Self::right_rotation_for_shift(shift);
         let nearest = (c3.saturating_sub(bits).saturating_add(16) & !SPAN_MASK) | bits;
         Self { end, shift, coefficients: [c0, c1, c2, nearest] }
     }
 
     /// Returns the rotation to the right that equals a shift to the left, for a value below the span.
-    const fn rotation(shift: u8) -> i32 {
+    const fn right_rotation_for_shift(shift: u8) -> i32 {
         // Widening; `From` is not const.
         32_i32.wrapping_sub(shift as i32) & SPAN_MASK
     }
@@ -42,7 +42,7 @@ impl Segment {
     /// Returns the words as stored: c₃ with the shift in it.
     const fn to_words(self) -> [i32; 5] {
         let [c0, c1, c2, c3] = self.coefficients;
-        [self.end.0, c0, c1, c2, (c3 & !SPAN_MASK) | Self::rotation(self.shift)]
+        [self.end.0, c0, c1, c2, (c3 & !SPAN_MASK) | Self::right_rotation_for_shift(self.shift)]
     }
 
     /// Returns the largest shift whose span holds a position `reach` before the end: it loses least.
@@ -50,13 +50,13 @@ impl Segment {
     /// ```
     /// use trueup_core::curve::Segment;
     /// // 1 mm is 100 000 positions: 2¹⁷ = 131 072 holds it, 2¹⁶ = 65 536 does not.
-    /// assert_eq!(Segment::shift_for(100_000), 15);
-    /// assert_eq!(Segment::shift_for(65_536), 15);
-    /// assert_eq!(Segment::shift_for(65_535), 16);
+    /// assert_eq!(Segment::shift_for_reach(100_000), 15);
+    /// assert_eq!(Segment::shift_for_reach(65_536), 15);
+    /// assert_eq!(Segment::shift_for_reach(65_535), 16);
     /// ```
     #[must_use]
     #[allow(clippy::cast_possible_truncation, reason = "at most 31")]
-    pub const fn shift_for(reach: u32) -> u8 {
+    pub const fn shift_for_reach(reach: u32) -> u8 {
         if reach == 0 { 31 } else { reach.leading_zeros() as u8 }
     }
 
@@ -98,7 +98,7 @@ impl Segment {
     /// Returns whether every position up to `reach` before the end lies in the span, with no sum of the
     /// recurrence outside 32 bits.
     #[must_use]
-    pub fn is_sound(&self, reach: u32) -> bool {
+    pub fn is_valid_for_reach(&self, reach: u32) -> bool {
         const MAX_MAGNITUDE: u64 = i32::MAX.unsigned_abs() as u64;
         let [_, c0, c1, c2, c3] = self.to_words();
         if reach.leading_zeros() < u32::from(self.shift & 31) {

@@ -73,7 +73,7 @@ impl Spline {
         all.map(|(n, (knots, [b0, b1, b2, b3]))| {
             let length = knots[0].abs_diff(knots[1]);
             let reach = if n == 0 { length } else { length - 1 };
-            let shift = Segment::shift_for(reach);
+            let shift = Segment::shift_for_reach(reach);
             // The place in the piece is s = 1 − r − r·t.
             let r = 2f64.powi(32 - i32::from(shift)) / 2.0 / f64::from(length);
             let (q1, q2) = (3.0 * (b1 - b0), 3.0 * (b2 - 2.0 * b1 + b0));
@@ -87,7 +87,7 @@ impl Spline {
             assert!(words.iter().all(|word| word.abs() <= f64::from(i32::MAX)), "{words:?}");
             let segment =
                 Segment::new(Position(knots[1]), shift, words.map(|word| word.round() as i32));
-            assert!(segment.is_sound(reach), "{segment:?} over {reach}");
+            assert!(segment.is_valid_for_reach(reach), "{segment:?} over {reach}");
             segment
         })
         .collect()
@@ -190,8 +190,8 @@ fn a_sound_segment_is_f64_and_so_never_overflows() {
             [(); 4].map(|()| (next_random(&mut seed) as i32) >> (next_random(&mut seed) % 4));
         let reach = next_random(&mut seed) >> (next_random(&mut seed) % 32);
         let end = next_random(&mut seed) as i32;
-        let segment = Segment::new(Position(end), Segment::shift_for(reach), coefficients);
-        if !segment.is_sound(reach) {
+        let segment = Segment::new(Position(end), Segment::shift_for_reach(reach), coefficients);
+        if !segment.is_valid_for_reach(reach) {
             continue;
         }
         sound += 1;
@@ -317,8 +317,10 @@ fn any_bytes_may_come() {
             let _ = curve.evaluate(Position(p));
         }
         for segment in stored.iter().map(Segment::from_bytes) {
-            let _ =
-                (segment.evaluate(Position(i32::MIN)), segment.is_sound(next_random(&mut seed)));
+            let _ = (
+                segment.evaluate(Position(i32::MIN)),
+                segment.is_valid_for_reach(next_random(&mut seed)),
+            );
         }
     }
 }

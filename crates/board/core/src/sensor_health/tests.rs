@@ -111,11 +111,11 @@ fn noise_is_measured_through_growth_and_run_out() {
     let mut health = SensorHealth::default();
     let codes = core::array::from_fn(|n| AdcCode(if n % 2 == 0 { 999 } else { 1001 }));
     health.check(&codes, false);
-    health.take_noise();
+    health.take_noise_statistics();
     health.check(&codes, false);
-    let noise = health.take_noise();
+    let noise = health.take_noise_statistics();
     assert_eq!((noise.squares, noise.count), (20 * 16, 20));
-    assert_eq!(health.take_noise(), Noise::default());
+    assert_eq!(health.take_noise_statistics(), NoiseStatistics::default());
 }
 
 #[test]

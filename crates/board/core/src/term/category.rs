@@ -14,7 +14,7 @@
 //! more such place while a lag is on its way, and half of 1/256 nm for the product (`category/tests.rs` measures it).
 
 use crate::{
-    cnc::Conditions,
+    cnc::MachineConditions,
     fixed_point::{ScaledCoefficient, rounding_shift_right, saturate_to_i32, widening_mul},
     lag::SmoothingFactor,
 };
@@ -25,7 +25,7 @@ pub const UNIT_STEP: i32 = 1 << 30;
 /// The factor that a level is multiplied by. The numbers are those of a blob.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Factor {
+pub enum CategoryFactor {
     /// 1: the level is a length.
     #[default]
     One = 0,
@@ -37,7 +37,7 @@ pub enum Factor {
     Position = 3,
 }
 
-impl Factor {
+impl CategoryFactor {
     /// Returns the factor of this number.
     #[must_use]
     pub const fn from_number(number: u8) -> Option<Self> {
@@ -61,7 +61,7 @@ pub struct ToolTable<'a> {
     /// Binary places of every m.
     pub shift: u8,
     /// f.
-    pub times: Factor,
+    pub times: CategoryFactor,
 }
 
 impl ToolTable<'_> {
@@ -74,7 +74,7 @@ impl ToolTable<'_> {
 
     /// Returns m while the CNC says this.
     #[must_use]
-    pub fn level(&self, conditions: Option<Conditions>) -> i32 {
+    pub fn level(&self, conditions: Option<MachineConditions>) -> i32 {
         let tool = conditions.map(|conditions| u32::from(conditions.tool));
         let found = self.tools().find(|(number, _)| Some(*number) == tool);
         found.map_or(self.other, |(_, level)| level)
@@ -97,13 +97,13 @@ pub struct ConditionLevels {
     /// α of the lag of s, per step of 100 ms.
     pub smoothing: SmoothingFactor,
     /// f.
-    pub times: Factor,
+    pub times: CategoryFactor,
 }
 
 impl ConditionLevels {
     /// Returns s in parts of [`UNIT_STEP`] while the CNC says this.
     #[must_use]
-    pub fn input(&self, conditions: Option<Conditions>) -> i32 {
+    pub fn input(&self, conditions: Option<MachineConditions>) -> i32 {
         if conditions.map_or(self.default, |conditions| conditions.is_set(self.bit)) {
             UNIT_STEP
         } else {

@@ -1,7 +1,7 @@
 //! The parts of a term, and the effect at a place of one that depends on it.
 
 use crate::{
-    angle::sine_cosine,
+    angle::sin_cos,
     cnc::LinearAxis,
     curve::Curve,
     dimensions::MAX_TERMS,
@@ -15,7 +15,7 @@ use crate::{
         category::{ConditionLevels, ToolTable},
         tilt::Tilt,
     },
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::backlash_error,
     units::{FineNanometres, MicroDegrees, Position, Rpm, Temperature},
 };
@@ -172,7 +172,7 @@ impl SpeedExponent {
 
     /// Returns the units of a (r/min)^power.
     #[must_use]
-    pub const fn input_units(self) -> f64 {
+    pub const fn input_units_per_speed_power(self) -> f64 {
         match self {
             Self::First => 32_768.0,
             Self::Second => 0.5,
@@ -182,7 +182,7 @@ impl SpeedExponent {
 
 /// Returns the terms of heat, which need a temperature or the heat that the speed has left.
 #[must_use]
-pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
+pub fn thermal_term_indices(terms: &Terms<'_>) -> IndexSet {
     let mut set = IndexSet::default();
     for (index, term) in terms.iter().enumerate() {
         if term.is_some_and(|term| {
@@ -257,10 +257,10 @@ fn compute_sine_wave(
     let turned = (turned as u32).wrapping_add(phase);
     let angle =
         MicroDegrees(fixed_point::mul_high_unsigned(turned, FULL_TURN_MICRO_DEGREES).cast_signed());
-    let (sine, _) = sine_cosine(angle);
+    let (sine, _) = sin_cos(angle);
     let along = fixed_point::widening_mul(sine, amplitude.0);
     FineNanometres::saturating_from(fixed_point::rounding_shift_right(
         along,
-        Direction::FRACTION_BITS,
+        ToolDirection::FRACTION_BITS,
     ))
 }

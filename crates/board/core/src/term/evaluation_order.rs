@@ -9,7 +9,7 @@
 //! Terms by category add to what all others have made, wherever they stand in the blob.
 
 use crate::term::{
-    category::Factor,
+    category::CategoryFactor,
     effect::{Effect, Target, Terms},
 };
 
@@ -25,7 +25,7 @@ pub fn elongation_term_count(terms: &Terms<'_>) -> usize {
 
 /// Returns what a term by category is multiplied by; none of another term.
 #[must_use]
-pub const fn category_factor(effect: &Effect<'_>) -> Option<Factor> {
+pub const fn category_factor(effect: &Effect<'_>) -> Option<CategoryFactor> {
     match effect {
         Effect::Tool(tools) => Some(tools.times),
         Effect::Condition(it) => Some(it.times),

@@ -1,14 +1,14 @@
 //! The states of the terms that follow heat and time.
 
 use crate::{
-    cnc::Conditions,
+    cnc::MachineConditions,
     dimensions::{CHANNEL_COUNT, MAX_TERMS},
     fixed_point::ScaledCoefficient,
     index_set::IndexSet,
     lag::{Lag, SmoothingFactor},
     retained_lags::{RetainedLag, RetainedLagKey, RetainedLags},
     term::{
-        category::{ConditionLevels, Factor, UNIT_STEP, scale_level, speed_squared},
+        category::{CategoryFactor, ConditionLevels, UNIT_STEP, scale_level, speed_squared},
         effect::{Effect, Target, Terms},
         evaluation_order::category_factor,
     },
@@ -62,7 +62,7 @@ pub struct TermStates {
     /// Terms of heat that have had a temperature, or whose heat by the speed is known.
     known: IndexSet,
     /// The conditions by the CNC, or `None` inside: the defaults hold. Nothing before either is known.
-    conditions: Option<Option<Conditions>>,
+    conditions: Option<Option<MachineConditions>>,
     /// m of the terms by category.
     levels: [i32; MAX_TERMS],
     /// The sum of those of the elongation that are not multiplied by its growth, and all their constants.
@@ -124,7 +124,7 @@ impl TermStates {
                     let lag = lag.get_or_insert(Lag::settled_at(input));
                     lag.step(input, it.smoothing);
                     *level = it.level(lag.value());
-                    self.update_sum(terms);
+                    self.update_category_sum(terms);
                 }
             }
             _ => {}
@@ -132,7 +132,7 @@ impl TermStates {
     }
 
     /// Takes what the CNC says of tool and conditions; `None`: the defaults hold.
-    pub fn set_conditions(&mut self, terms: &Terms<'_>, conditions: Option<Conditions>) {
+    pub fn set_conditions(&mut self, terms: &Terms<'_>, conditions: Option<MachineConditions>) {
         self.conditions = Some(conditions);
         for (level, term) in self.levels.iter_mut().zip(terms.iter().flatten()) {
             match &term.effect {
@@ -143,21 +143,21 @@ impl TermStates {
                 _ => {}
             }
         }
-        self.update_sum(terms);
+        self.update_category_sum(terms);
     }
 
     /// Takes the speed of the spindle; returns whether it is another one.
     pub fn update_speed(&mut self, terms: &Terms<'_>, speed: Rpm) -> bool {
         let is_new = core::mem::replace(&mut self.speed, speed) != speed;
         if is_new {
-            self.update_sum(terms);
+            self.update_category_sum(terms);
         }
         is_new
     }
 
     /// A level or the speed has changed.
     #[inline(never)]
-    fn update_sum(&mut self, terms: &Terms<'_>) {
+    fn update_category_sum(&mut self, terms: &Terms<'_>) {
         let mut sum = FineNanometres::ZERO;
         let mut by_growth = [ScaledCoefficient::default(); MAX_TERMS];
         let mut places = by_growth.iter_mut();
@@ -167,7 +167,7 @@ impl TermStates {
             };
             match category_factor(&term.effect) {
                 None => continue,
-                Some(Factor::Growth) => {
+                Some(CategoryFactor::Growth) => {
                     // What is 0 ends the list, and adds nothing.
                     if level != 0
                         && let Some(place) = places.next()
@@ -244,9 +244,9 @@ impl TermStates {
     ) -> FineNanometres {
         let Some(by) = category_factor(effect) else { return FineNanometres::ZERO };
         let x = match by {
-            Factor::One => 1,
-            Factor::Speed2 => speed_squared(self.speed.0),
-            Factor::Growth | Factor::Position => x,
+            CategoryFactor::One => 1,
+            CategoryFactor::Speed2 => speed_squared(self.speed.0),
+            CategoryFactor::Growth | CategoryFactor::Position => x,
         };
         FineNanometres(scale_level(
             self.levels.get(index).copied().unwrap_or_default(),

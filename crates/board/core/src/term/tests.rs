@@ -80,7 +80,7 @@ fn heat_follows_its_lag_and_time_its_own() {
     let x = Target::Axis(LinearAxis::X);
     let terms = with(&[(x, 0, heat), (Target::Elongation, 0, time)]);
     let mut states = TermStates::default();
-    let heated = heat_terms(&terms);
+    let heated = thermal_term_indices(&terms);
     assert!(!states.is_initialised(heated));
     let mut temperatures = [None; CHANNEL_COUNT];
     let mut step_thermal = |temperatures: &_| {
@@ -132,7 +132,7 @@ fn a_slope_by_heat_goes_with_the_position() {
         let got = errors.map(um);
         assert!((got[1] - expected).abs() < 1e-5 && [got[0], got[2]] == [0.0; 2], "{got:?}");
     }
-    assert!(states.is_initialised(heat_terms(&terms)));
+    assert!(states.is_initialised(thermal_term_indices(&terms)));
 }
 
 /// Ten hours of speeds from 0 to the largest, against the lag and its product in `f64`.
@@ -146,7 +146,7 @@ fn heat_by_the_speed_starts_cold_and_is_right_over_all_speeds() {
             let given = f64::from(smoothing.0) / 4_294_967_296.0;
             // 100 µm at the largest speed.
             let um_per_unit = -100.0 / f64::from(u16::MAX).powi(exponent);
-            let per_unit = scaled(um_per_unit * 256_000.0 / power.input_units());
+            let per_unit = scaled(um_per_unit * 256_000.0 / power.input_units_per_speed_power());
             let heat = Effect::SpeedHeat { power, smoothing, per_unit };
             let terms = with(&[(Target::Axis(LinearAxis::Y), 0, heat)]);
             let (mut states, mut lagged, mut seed) = (TermStates::default(), 0.0, 1);
@@ -168,7 +168,7 @@ fn heat_by_the_speed_starts_cold_and_is_right_over_all_speeds() {
                     assert!((got + 100.0 * exact).abs() < 1e-4, "cold at the start: {got}");
                 }
             }
-            assert!(states.is_initialised(heat_terms(&terms)));
+            assert!(states.is_initialised(thermal_term_indices(&terms)));
         }
     }
     std::println!("heat by the speed, 100 µm: {worst_nm:.4} nm at most");

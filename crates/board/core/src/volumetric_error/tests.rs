@@ -53,7 +53,7 @@ fn what_is_kept_is_what_is_computed_anew_wherever_the_axes_go() {
         let volume = drawn(&mut seed, curve, 1 << 20);
         let calibration = Calibration { volume: Some(volume), ..minimal_calibration() };
         let (heat, mut place) = (MachineThermalState::default(), MachinePosition::default());
-        let mut cached = CachedErrors::from_place(&calibration, &heat, &place);
+        let mut cached = CachedErrors::from_position(&calibration, &heat, &place);
         for _ in 0..40 {
             let number = (next_random(&mut seed) % 2_000) as i32 - 1_000;
             match next_random(&mut seed) % 4 {

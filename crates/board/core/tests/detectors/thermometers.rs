@@ -45,7 +45,7 @@ fn bad_readings(readings: impl Iterator<Item = f64>) -> usize {
     let received = readings.map(|celsius| {
         channels
             .receive(0, Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32)));
-        channels.is_current(0)
+        channels.has_valid_last_reading(0)
     });
     received.filter(|is_good| !is_good).count()
 }
@@ -129,7 +129,7 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
         let mut channel = TemperatureChannel::default();
         let mut read = |channel: &mut TemperatureChannel, celsius: f64| {
             let reading = (celsius + noise * random.normal()) * f64::from(Temperature::PER_KELVIN);
-            channel.receive_rate_limited(Ok(Temperature(reading as i32)), &limit, false);
+            channel.receive_rate_limited_reading(Ok(Temperature(reading as i32)), &limit, false);
             channel.is_uncertain()
         };
         (0..100).for_each(|_| _ = read(&mut channel, 40.0));
@@ -211,7 +211,7 @@ fn sound_thermometers(hours: f64) {
         for reading in 0..(hours * 36_000.0) as u64 {
             sound.read(&mut channels, &mut last, 0);
             let faulty = (0..3).any(|number| channels.is_faulty(number));
-            let faulty = faulty || channels.doubtful_channels() != IndexSet::default();
+            let faulty = faulty || channels.uncertain_channels() != IndexSet::default();
             assert!(!faulty, "noise of {noise} steps: an alarm at reading {reading}");
         }
         println!("thermometers, noise of {noise} steps: no false alarm in {hours} h");

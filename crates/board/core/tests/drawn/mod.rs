@@ -15,11 +15,11 @@ use trueup_core::{
     lag::SmoothingFactor,
     limits::Limits,
     pitch_table::{Beam, PitchErrorTable},
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     term::{Effect, SpeedExponent, Target, Term},
     thermal::{LawSegment, ThermalExpansionLaw},
     thermometer::Thermometer,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::{Interval, ReversalConfig},
     units::{FineNanometres, Nanometres, Position, Reading, Temperature},
     warmup,
@@ -291,7 +291,7 @@ impl Machine {
         );
         let rest = (
             prop::array::uniform(thermometer),
-            prop_oneof![Just([0, 0, -Direction::ONE]), numbers()],
+            prop_oneof![Just([0, 0, -ToolDirection::ONE]), numbers()],
             prop::array::uniform(prop::option::of(rotary)),
             prop::array::uniform(OwnedAxis::any()).boxed(),
             prop::array::uniform(OwnedCurve::any()).boxed(),
@@ -327,7 +327,11 @@ impl Machine {
             thermometers: self.thermometers,
             spindle: SpindleModel {
                 chain: self.chain,
-                sensor: SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: Slope(slope) },
+                sensor: SensorLaw {
+                    k0: Nanometres(k0),
+                    zero: Reading(zero),
+                    slope: SensorSlope(slope),
+                },
                 temperature: self.temperature.as_ref().map(|(channel, smoothing, pieces)| {
                     SpindleTemperatureModel {
                         channel: *channel,
@@ -349,7 +353,7 @@ impl Machine {
                     }
                 }),
             },
-            kinematics: Kinematics { zero: Direction(self.zero), axes: self.rotary },
+            kinematics: Kinematics { zero: ToolDirection(self.zero), axes: self.rotary },
             axes: self.axes.each_ref().map(OwnedAxis::axis),
             straightness: self.straightness.each_ref().map(OwnedCurve::curve),
             squareness: self.squareness.map(Gradient),

@@ -4,8 +4,13 @@ use super::*;
 use proptest::prelude::*;
 use std::string::ToString;
 
-fn output(offset_nm: Option<[i32; 3]>, quality: Quality, flags: u8, age_ms: u8) -> Output {
-    Output { offset: offset_nm.map(|nm| nm.map(Nanometres)), quality, flags: Flags(flags), age_ms }
+fn output(offset_nm: Option<[i32; 3]>, quality: OffsetQuality, flags: u8, age_ms: u8) -> Output {
+    Output {
+        offset: offset_nm.map(|nm| nm.map(Nanometres)),
+        quality,
+        flags: OffsetFlags(flags),
+        age_ms,
+    }
 }
 
 fn hex(digits: u64) -> [u8; 8] {
@@ -17,23 +22,23 @@ fn hex(digits: u64) -> [u8; 8] {
 
 #[test]
 fn offset_frames_match_other_tools() {
-    let nothing = output(Some([0; 3]), Quality::Off, 0, 0);
+    let nothing = output(Some([0; 3]), OffsetQuality::Off, 0, 0);
     assert_eq!(encode_offset_xy(&nothing, 0).data(), &hex(0xb609_0000_0000_0000));
-    let some = output(Some([12_340, -56_780, -77_010]), Quality::Live, 0x22, 1);
+    let some = output(Some([12_340, -56_780, -77_010]), OffsetQuality::Live, 0x22, 1);
     assert_eq!(encode_offset_xy(&some, 7).data(), &hex(0x7ce6_07d2_0420_9dfe));
     assert_eq!(encode_offset_z(&some, 7).data(), &hex(0x2cef_07eb_e11f_2201));
-    let ends = output(Some([5_242_870, -5_242_870, 0]), Quality::Off, 0, 0);
+    let ends = output(Some([5_242_870, -5_242_870, 0]), OffsetQuality::Off, 0, 0);
     assert_eq!(encode_offset_xy(&ends, 255).data(), &hex(0xe334_ffff_ff17_0080));
-    let missing = output(None, Quality::Fault, 0x88, 255);
+    let missing = output(None, OffsetQuality::Fault, 0x88, 255);
     assert_eq!(encode_offset_xy(&missing, 1).data(), &hex(0x1277_0100_0008_0080));
     assert_eq!(encode_offset_z(&missing, 1).data(), &hex(0x6ff2_0100_0068_88ff));
 }
 
 #[test]
 fn command_frames_match_other_tools() {
-    let cutting = Spindle { speed: Rpm(24_000), load_n: -1_500 };
+    let cutting = SpindleState { speed: Rpm(24_000), load_n: -1_500 };
     assert_eq!(encode_spindle(cutting, 3).data(), &hex(0xfd81_03c0_5d24_fa00));
-    let ends = Spindle { speed: Rpm(u16::MAX), load_n: i16::MAX };
+    let ends = SpindleState { speed: Rpm(u16::MAX), load_n: i16::MAX };
     assert_eq!(encode_spindle(ends, 4).data(), &hex(0x8945_04ff_ffff_7f00));
     let run = Control::ENGAGED;
     assert_eq!(encode_control(run, 9).data(), &hex(0xb4e6_0903_0000_0000));
@@ -45,8 +50,8 @@ fn at(axis: LinearAxis, position: i32, direction: TravelDirection) -> AxisPositi
     AxisPosition { axis, position: Position(position), direction }
 }
 
-fn angles(first: i32, second: i32) -> Rotary {
-    Rotary { angles: [first, second].map(MicroDegrees) }
+fn angles(first: i32, second: i32) -> RotaryAxisAngles {
+    RotaryAxisAngles { angles: [first, second].map(MicroDegrees) }
 }
 
 #[test]
@@ -141,7 +146,7 @@ fn offsets_round_half_away_from_zero_and_saturate_short_of_the_missing_value() {
 fn one_missing_half_makes_x_and_y_missing() {
     for signal in [OFFSET_X, OFFSET_Y] {
         let mut data = [0; 8];
-        signal.insert(&mut data, NOT_AVAILABLE_RAW);
+        signal.insert(&mut data, NO_OFFSET_RAW);
         let frame = Frame::from_data(OFFSET_XY_ID, data);
         assert_eq!(decode_offset_xy(&frame), Ok(OffsetXy { offset: None }));
     }
@@ -180,7 +185,7 @@ proptest! {
         nm in prop::option::of(prop::array::uniform3(-5_242_870..=5_242_870)),
         quality in 0_u8..=6, flags: u8, age_ms: u8, count: u8,
     ) {
-        let sent = output(nm, Quality::from_wire(quality).unwrap(), flags, age_ms);
+        let sent = output(nm, OffsetQuality::from_wire(quality).unwrap(), flags, age_ms);
         let (first, second) = (encode_offset_xy(&sent, count), encode_offset_z(&sent, count));
         prop_assert_eq!((e2e_counter(&first), e2e_counter(&second)), (count, count));
         let xy = decode_offset_xy(&first).unwrap();
@@ -198,9 +203,9 @@ proptest! {
 
     #[test]
     fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, part in 0_u8..8, count: u8) {
-        let sent = Spindle { speed: Rpm(speed), load_n };
+        let sent = SpindleState { speed: Rpm(speed), load_n };
         prop_assert_eq!(decode_spindle(&encode_spindle(sent, count)), Ok(sent));
-        let sent = Conditions { tool: speed, bits: load_n.cast_unsigned() };
+        let sent = MachineConditions { tool: speed, bits: load_n.cast_unsigned() };
         prop_assert_eq!(decode_conditions(&encode_conditions(sent, count)), Ok(sent));
         let sent = Control {
             engage: bits & 1 != 0,

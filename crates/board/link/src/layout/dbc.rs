@@ -10,29 +10,29 @@ use super::table::{FRAMES, FrameSpec, Multiplexing, SignalSpec};
 /// # Errors
 /// None but those of `out`.
 pub(crate) fn write_dbc(out: &mut impl fmt::Write) -> fmt::Result {
-    out.write_str(HEADER)?;
+    out.write_str(DBC_HEADER)?;
     FRAMES.iter().try_for_each(|frame| write_frame(out, frame))?;
-    out.write_str(ABOUT)?;
+    out.write_str(NETWORK_COMMENTS)?;
     FRAMES.iter().try_for_each(|frame| write_frame_comment(out, frame))?;
     for frame in FRAMES {
         for signal in frame.signals() {
             writeln!(out, "CM_ SG_ {} {} \"{}\";", frame.id, signal.name, signal.comment)?;
         }
     }
-    out.write_str(CYCLE_TIME)?;
+    out.write_str(CYCLE_TIME_ATTRIBUTE)?;
     for frame in FRAMES {
         writeln!(out, "BA_ \"GenMsgCycleTime\" BO_ {} {};", frame.id, frame.period_ms)?;
     }
     out.write_str("\n")?;
-    FRAMES.iter().try_for_each(|frame| write_names(out, frame))
+    FRAMES.iter().try_for_each(|frame| write_value_descriptions(out, frame))
 }
 
-const HEADER: &str = concat!(
+const DBC_HEADER: &str = concat!(
     "VERSION \"1\"\n\nNS_ :\n\tCM_\n\tBA_DEF_\n\tBA_\n\tVAL_\n\tBA_DEF_DEF_\n\nBS_:\n\n",
     "BU_: Bridge CNC\n\n",
 );
 
-const ABOUT: &str = concat!(
+const NETWORK_COMMENTS: &str = concat!(
     "CM_ \"Messages between the trueup bridge and a CNC, on CAN (2.0, standard identifiers, ",
     "1 Mbit/s) and as SLCAN lines on a serial port. Bits that no signal covers are sent as 0 and ",
     "ignored by the receiver. Every frame with the signals Crc and Counter is protected by AUTOSAR ",
@@ -45,7 +45,7 @@ const ABOUT: &str = concat!(
     "CM_ BU_ CNC \"The machine's control: adds the offsets to its commanded positions.\";\n",
 );
 
-const CYCLE_TIME: &str =
+const CYCLE_TIME_ATTRIBUTE: &str =
     "\nBA_DEF_ BO_ \"GenMsgCycleTime\" INT 0 65535;\nBA_DEF_DEF_ \"GenMsgCycleTime\" 0;\n";
 
 fn write_frame(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
@@ -58,7 +58,7 @@ fn write_frame(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
             Multiplexing::Item(item) => format!(" m{item}"),
         };
         let sign = if place.signed { '-' } else { '+' };
-        let [one, min, max] = [1, range.0, range.1].map(|raw| scaled_decimal(raw, *factor));
+        let [one, min, max] = [1, range.0, range.1].map(|raw| format_scaled_decimal(raw, *factor));
         writeln!(
             out,
             " SG_ {name}{item} : {}|{}@1{sign} ({one},0) [{min}|{max}] \"{unit}\" {receiver}",
@@ -69,7 +69,7 @@ fn write_frame(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
 }
 
 /// Returns `raw` times the factor in all its decimals.
-fn scaled_decimal(raw: i64, (numerator, denominator): (i32, i32)) -> String {
+fn format_scaled_decimal(raw: i64, (numerator, denominator): (i32, i32)) -> String {
     let product = raw * i64::from(numerator);
     let sign = if product < 0 { "-" } else { "" };
     let (magnitude, one) = (product.unsigned_abs(), u64::from(denominator.unsigned_abs()));
@@ -89,7 +89,7 @@ fn write_frame_comment(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Res
 
 /// Prints the named values. Of multiplexed signals, those whose only name says that the value is
 /// missing come last: the order that the file has always had.
-fn write_names(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
+fn write_value_descriptions(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
     let is_late =
         |signal: &SignalSpec| signal.multiplexing != Multiplexing::None && signal.names.len() == 1;
     for late in [false, true] {

@@ -17,7 +17,7 @@ use crate::{
     status::{FrameRejectReason, ResetReason},
 };
 use trueup_core::{
-    cnc::{Quality, TravelDirection},
+    cnc::{OffsetQuality, TravelDirection},
     units::Position,
 };
 
@@ -102,7 +102,7 @@ fn the_dbc_names_every_value_as_the_code_does() {
         assert_eq!(names, expected, "{signal}");
     };
     for id in [OFFSET_Z_ID, EMERGENCY_ID] {
-        assert_names(id, "Quality", &names!(0..=u8::MAX, Quality));
+        assert_names(id, "Quality", &names!(0..=u8::MAX, OffsetQuality));
     }
     assert_names(STATUS_ID, "LastRefused", &names!(0..=u8::MAX, FrameRejectReason));
     assert_names(STATUS_ID, "ResetReason", &names!(0..=u16::MAX, ResetReason));
@@ -111,9 +111,9 @@ fn the_dbc_names_every_value_as_the_code_does() {
         assert_names(id, "Direction", &names!(i8::MIN..=i8::MAX, TravelDirection));
     }
     let missing = |raw: i32| [(raw.into(), String::from("NotAvailable"))];
-    assert_names(OFFSET_XY_ID, "OffsetX", &missing(NOT_AVAILABLE_RAW));
-    assert_names(OFFSET_XY_ID, "OffsetY", &missing(NOT_AVAILABLE_RAW));
-    assert_names(OFFSET_Z_ID, "OffsetZ", &missing(NOT_AVAILABLE_RAW));
+    assert_names(OFFSET_XY_ID, "OffsetX", &missing(NO_OFFSET_RAW));
+    assert_names(OFFSET_XY_ID, "OffsetY", &missing(NO_OFFSET_RAW));
+    assert_names(OFFSET_Z_ID, "OffsetZ", &missing(NO_OFFSET_RAW));
     for channel in 0..8 {
         let signal = format!("Temperature{channel}");
         assert_names(STATUS_ID, &signal, &missing(NO_TEMPERATURE_RAW));
@@ -134,7 +134,7 @@ fn the_protection_lies_where_the_dbc_says() {
 #[test]
 fn the_offset_range_fills_its_bits_but_for_the_missing_value() {
     for offset in [OFFSET_X, OFFSET_Y, OFFSET_Z] {
-        assert_eq!((offset.min(), offset.max()), (NOT_AVAILABLE_RAW, MAX_OFFSET_RAW));
+        assert_eq!((offset.min_raw(), offset.max_raw()), (NO_OFFSET_RAW, MAX_OFFSET_RAW));
     }
 }
 
@@ -169,8 +169,8 @@ fn every_frame_as_often_as_permitted_fills_56_percent_of_the_bus_at_worst_stuffi
 #[test]
 fn positions_reach_15_m_in_steps_finer_than_1_um() {
     const MM_PER_BIT: f64 = 1.0 / Position::PER_MILLIMETRE as f64;
-    assert!(f64::from(POSITION.max()) * MM_PER_BIT > 15_000.0);
-    assert!(f64::from(POSITION.min()) * MM_PER_BIT < -15_000.0);
+    assert!(f64::from(POSITION.max_raw()) * MM_PER_BIT > 15_000.0);
+    assert!(f64::from(POSITION.min_raw()) * MM_PER_BIT < -15_000.0);
     const { assert!(MM_PER_BIT < 0.001) };
 }
 

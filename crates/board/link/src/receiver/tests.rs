@@ -12,11 +12,14 @@ use crate::{
 use proptest::prelude::*;
 use std::string::ToString;
 use trueup_core::{
-    cnc::{AxisPosition, Control, Flags, Quality, Rotary, Spindle, TravelDirection},
+    cnc::{
+        AxisPosition, Control, OffsetFlags, OffsetQuality, RotaryAxisAngles, SpindleState,
+        TravelDirection,
+    },
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
-const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
+const TURNING: SpindleState = SpindleState { speed: Rpm(18_000), load_n: 120 };
 const ENGAGED: Control = Control::ENGAGED;
 /// Identifiers that a CNC sends.
 const CNC: [u16; 7] =
@@ -26,8 +29,8 @@ fn output(cycle: u8) -> Output {
     let nm = i32::from(cycle) * 10;
     Output {
         offset: Some([nm, -nm, nm].map(Nanometres)),
-        quality: Quality::Live,
-        flags: Flags::NONE,
+        quality: OffsetQuality::Live,
+        flags: OffsetFlags::NONE,
         age_ms: 1,
     }
 }
@@ -40,14 +43,14 @@ fn damaged(frame: Frame) -> Frame {
 
 #[test]
 fn commands_are_distinguished_and_each_has_its_own_sequence() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     for counter in 0..=u8::MAX {
         let frame = encode_control(ENGAGED, counter);
         assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Control(ENGAGED))));
         let frame = encode_spindle(TURNING, counter.wrapping_mul(3));
         assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Spindle(TURNING))));
     }
-    let expected = Counters { accepted: 512, lost: 255 * 2, ..Counters::default() };
+    let expected = FrameCounters { accepted: 512, lost: 255 * 2, ..FrameCounters::default() };
     assert_eq!(receiver.counters(), expected);
 }
 
@@ -57,8 +60,8 @@ fn at(axis: LinearAxis, position: i32) -> AxisPosition {
 
 #[test]
 fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
-    let mut receiver = Receiver::new();
-    let turned = Rotary { angles: [90_000_000, -45_000_000].map(MicroDegrees) };
+    let mut receiver = CncReceiver::new();
+    let turned = RotaryAxisAngles { angles: [90_000_000, -45_000_000].map(MicroDegrees) };
     for step in 0..=u8::MAX {
         for (axis, stride) in LinearAxis::ALL.into_iter().zip([1, 3, 5]) {
             let there = at(axis, i32::from(step) * 1_000 - 64_000);
@@ -69,13 +72,13 @@ fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
         assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Rotary(turned))));
     }
     let lost = 255 * (2 + 4 + 6);
-    let expected = Counters { accepted: 4 * 256, lost, ..Counters::default() };
+    let expected = FrameCounters { accepted: 4 * 256, lost, ..FrameCounters::default() };
     assert_eq!(receiver.counters(), expected);
 }
 
 #[test]
 fn the_frame_of_one_axis_under_the_identifier_of_another_is_refused() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     let x = encode_position(at(LinearAxis::X, 5), 0);
     let moved = Frame::new(POSITION_Y_ID, x.data()).unwrap();
     let refused = receiver.accept(&moved).unwrap_err();
@@ -85,7 +88,7 @@ fn the_frame_of_one_axis_under_the_identifier_of_another_is_refused() {
 
 #[test]
 fn a_direction_without_meaning_is_refused_although_its_protection_holds() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     let mut data = *encode_position(at(LinearAxis::Z, 5), 0).data();
     DIRECTION.insert(&mut data, -2);
     e2e::protect(POSITION_Z_ID, 0, &mut data);
@@ -96,16 +99,16 @@ fn a_direction_without_meaning_is_refused_although_its_protection_holds() {
 
 #[test]
 fn frames_for_others_are_passed_over_and_not_counted() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     for frame in [encode_offset_xy(&output(0), 0), encode_heartbeat(NmtState::Operational)] {
         assert_eq!(receiver.accept(&frame), Ok(None));
     }
-    assert_eq!(receiver.counters(), Counters::default());
+    assert_eq!(receiver.counters(), FrameCounters::default());
 }
 
 #[test]
 fn every_kind_of_fault_is_refused_and_counted_once() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     let frame = encode_control(ENGAGED, 7);
     receiver.accept(&frame).unwrap();
     let refused = receiver.accept(&damaged(frame)).unwrap_err();
@@ -116,13 +119,13 @@ fn every_kind_of_fault_is_refused_and_counted_once() {
     let refused = receiver.accept(&short).unwrap_err();
     assert!(matches!(refused, ReceiveError::Decode(DecodeError::Length { .. })));
     let expected =
-        Counters { accepted: 1, malformed: 1, crc_errors: 1, sequence_errors: 1, lost: 0 };
+        FrameCounters { accepted: 1, malformed: 1, crc_errors: 1, sequence_errors: 1, lost: 0 };
     assert_eq!(receiver.counters(), expected);
 }
 
 #[test]
 fn only_a_frame_that_is_whole_and_out_of_sequence_speaks_of_a_second_sender() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     let mut is_sound =
         |frame: Frame| receiver.accept(&frame).err().map(|refused| refused.is_sequence_error());
     let sent = encode_control(ENGAGED, 7);
@@ -139,7 +142,7 @@ fn only_a_frame_that_is_whole_and_out_of_sequence_speaks_of_a_second_sender() {
 
 #[test]
 fn a_restarted_cnc_is_received_again_with_its_second_frame() {
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     receiver.accept(&encode_control(ENGAGED, 100)).unwrap();
     let (last, counter) = (100, 0);
     let refused = receiver.accept(&encode_control(ENGAGED, counter)).unwrap_err();
@@ -201,7 +204,7 @@ fn a_repeated_cycle_is_not_given_out_again() {
 #[test]
 fn a_missing_offset_is_given_out_as_missing() {
     let mut receiver = OffsetReceiver::new();
-    let sent = Output { offset: None, quality: Quality::Fault, ..output(0) };
+    let sent = Output { offset: None, quality: OffsetQuality::Fault, ..output(0) };
     assert_eq!(receiver.accept(&encode_offset_xy(&sent, 0)), Ok(None));
     assert_eq!(receiver.accept(&encode_offset_z(&sent, 0)), Ok(Some(sent)));
 }
@@ -248,9 +251,9 @@ proptest! {
 #[test]
 fn what_a_cnc_sends_is_what_the_bridge_takes_as_a_command() {
     for id in 0..=Frame::MAX_ID {
-        let mut receiver = Receiver::new();
+        let mut receiver = CncReceiver::new();
         let is_taken = receiver.accept(&Frame::new(id, &[0; 8]).unwrap()) != Ok(None);
-        assert_eq!(Receiver::is_from_cnc(id), is_taken, "0x{id:03X}");
+        assert_eq!(CncReceiver::is_cnc_frame_id(id), is_taken, "0x{id:03X}");
         assert_eq!(is_taken, CNC.contains(&id), "0x{id:03X}");
     }
 }

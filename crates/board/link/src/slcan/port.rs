@@ -17,7 +17,7 @@
 use heapless::Vec;
 
 use super::{
-    BELL, CR, LineParser, LineSplitter, SlcanError, encode_line_bytes, hex_digit, line_length,
+    BELL, CR, LineParser, LineSplitter, SlcanError, encode_line_bytes, frame_line_length, hex_digit,
 };
 use crate::frame::Frame;
 
@@ -115,7 +115,7 @@ impl Port {
             return false;
         }
         let needed =
-            frames.iter().map(line_length).fold(REPLY_RESERVE_BYTES, usize::saturating_add);
+            frames.iter().map(frame_line_length).fold(REPLY_RESERVE_BYTES, usize::saturating_add);
         if needed > self.remaining_capacity() {
             let lost = u32::try_from(frames.len()).unwrap_or(u32::MAX);
             self.counters.dropped = self.counters.dropped.saturating_add(lost);

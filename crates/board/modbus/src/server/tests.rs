@@ -7,7 +7,7 @@ use crate::{
 };
 use proptest::prelude::*;
 use std::{vec, vec::Vec as List};
-use trueup_core::cnc::Conditions;
+use trueup_core::cnc::MachineConditions;
 
 /// Registers that count what was taken.
 pub(crate) struct Mock {
@@ -92,7 +92,7 @@ fn the_whole_input_block_is_read_in_one_request() {
 #[test]
 fn the_whole_holding_block_is_written_and_read_back() {
     let mut bridge = Mock::new();
-    let conditions = Some(Conditions { tool: 9, bits: 0x8001 });
+    let conditions = Some(MachineConditions { tool: 9, bits: 0x8001 });
     for (cnc_data, registers) in
         [(CncData::default(), 17), (CncData { conditions, ..CncData::default() }, 20)]
     {

@@ -2,10 +2,10 @@
 
 use super::*;
 use trueup_core::{
-    cnc::{Conditions, LinearAxis},
+    cnc::{LinearAxis, MachineConditions},
     dimensions::CODES_PER_TICK,
     lag::SmoothingFactor,
-    term::{ConditionLevels, Effect, Factor, Target, Term},
+    term::{CategoryFactor, ConditionLevels, Effect, Target, Term},
     units::{AdcCode, FineNanometres, Nanometres},
 };
 use trueup_link::status::StateBits;
@@ -30,7 +30,7 @@ impl ConditionRig {
             on: CONDITION_SHIFT_NM * 256,
             shift: 0,
             smoothing: SmoothingFactor::NO_LAG,
-            times: Factor::One,
+            times: CategoryFactor::One,
         };
         let target = Target::Axis(LinearAxis::X);
         let effect = Effect::Condition(condition);
@@ -53,7 +53,7 @@ impl ConditionRig {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         for _ in 0..20 {
-            self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            self.node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
             let emergency_frame = self
                 .node
                 .service()
@@ -66,7 +66,7 @@ impl ConditionRig {
         }
     }
 
-    fn x(&self) -> Option<Nanometres> {
+    fn x_offset(&self) -> Option<Nanometres> {
         self.node.last_output().offset.map(|[x, ..]| x)
     }
 
@@ -75,28 +75,28 @@ impl ConditionRig {
     }
 }
 
-fn on(counter: u8) -> Option<Frame> {
-    Some(frames::encode_conditions(Conditions { tool: 3, bits: 1 << 9 }, counter))
+fn active_condition_frame(counter: u8) -> Option<Frame> {
+    Some(frames::encode_conditions(MachineConditions { tool: 3, bits: 1 << 9 }, counter))
 }
 
 #[test]
 fn a_condition_that_is_sent_moves_its_axis_and_a_damaged_frame_does_not() {
     let mut rig = ConditionRig::new();
-    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
-    assert_eq!(rig.x(), Some(Nanometres(-CONDITION_SHIFT_NM)));
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, active_condition_frame(n)));
+    assert_eq!(rig.x_offset(), Some(Nanometres(-CONDITION_SHIFT_NM)));
     assert!(!rig.emergencies.contains(&Fault::ConditionsLost));
     // Off, but damaged.
-    let frame = frames::encode_conditions(Conditions::default(), 50);
+    let frame = frames::encode_conditions(MachineConditions::default(), 50);
     let mut data = *frame.data();
     data[4] ^= 1;
     rig.send_control(Control::ENGAGED, Frame::new(frame.id(), &data).ok());
-    assert_eq!(rig.x(), Some(Nanometres(-CONDITION_SHIFT_NM)));
+    assert_eq!(rig.x_offset(), Some(Nanometres(-CONDITION_SHIFT_NM)));
 }
 
 #[test]
 fn lost_conditions_are_an_emergency_and_a_state_bit_within_100_ms_of_their_timeout() {
     let mut rig = ConditionRig::new();
-    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, active_condition_frame(n)));
     // Four times the link timeout of 500 ms.
     (0..99).for_each(|_| rig.send_control(Control::ENGAGED, None));
     assert!(!rig.emergencies.contains(&Fault::ConditionsLost));
@@ -105,13 +105,13 @@ fn lost_conditions_are_an_emergency_and_a_state_bit_within_100_ms_of_their_timeo
     assert!(rig.emergencies.contains(&Fault::ConditionsLost), "{:?}", rig.emergencies);
     assert!(rig.state().contains(StateBits::CONDITIONS_LOST));
     assert_eq!(
-        (rig.node.last_output().quality, rig.x()),
-        (Quality::Hold, Some(Nanometres(-CONDITION_SHIFT_NM)))
+        (rig.node.last_output().quality, rig.x_offset()),
+        (OffsetQuality::Hold, Some(Nanometres(-CONDITION_SHIFT_NM)))
     );
     (0..200).for_each(|_| rig.send_control(Control::ENGAGED, None));
-    assert_eq!(rig.node.last_output().quality, Quality::TemperatureModel);
-    assert_eq!(rig.x(), Some(Nanometres(0)), "off is the default");
-    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
+    assert_eq!(rig.node.last_output().quality, OffsetQuality::TemperatureModel);
+    assert_eq!(rig.x_offset(), Some(Nanometres(0)), "off is the default");
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, active_condition_frame(n)));
     assert!(!rig.state().contains(StateBits::CONDITIONS_LOST));
-    assert_eq!(rig.node.last_output().quality, Quality::Live);
+    assert_eq!(rig.node.last_output().quality, OffsetQuality::Live);
 }

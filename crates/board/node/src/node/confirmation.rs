@@ -18,7 +18,7 @@ impl Node<'_> {
     /// Requires the operator's confirmation. Until `Confirm` has answered it nothing is available; only
     /// [`Fault::HeatUnknown`] leaves what does not rest on the heat.
     pub fn require_confirmation(&mut self, question: Fault) {
-        self.questions = self.questions.with_if(true, question);
+        self.questions = self.questions.with_fault_if(true, question);
         self.update_inhibition();
     }
 
@@ -41,7 +41,7 @@ impl Node<'_> {
     /// Bars the offsets until the engage sequence is complete, the questions are answered, the constants are
     /// not the example's, and the board is not damaged.
     pub(super) fn update_inhibition(&mut self) {
-        let inhibited = !self.master.is_engage_complete()
+        let inhibited = !self.master.is_engage_sequence_complete()
             || CONFIRMABLE_FAULTS.into_iter().any(|question| self.questions.contains(question))
             || self.board_faults.contains(Fault::ExampleConstants)
             || self.board_faults.contains(Fault::SelfTest);
@@ -56,7 +56,7 @@ impl Node<'_> {
             self.questions = self.questions.without(question);
             match (question, &self.bridge) {
                 (Fault::HeatUnknown, Some(bridge)) => bridge.confirm_cold(&mut self.state),
-                (Fault::ReferenceOffered, _) => self.accept_offer(),
+                (Fault::ReferenceOffered, _) => self.accept_reference_offer(),
                 (Fault::CalibrationChanged, _) => self.schedule_reference_status_store(),
                 _ => {}
             }

@@ -4,8 +4,8 @@ use trueup_core::{
     calibration::{Calibration, ElongationSource, MachineIdentity, SpindleModel},
     kinematics::Kinematics,
     limits::Limits,
-    sensor::{SensorLaw, Slope},
-    tool_direction::Direction,
+    sensor::{SensorLaw, SensorSlope},
+    tool_direction::ToolDirection,
     units::{Nanometres, Reading, Temperature},
 };
 
@@ -15,10 +15,10 @@ pub(crate) fn sensor_only_calibration() -> Calibration<'static> {
         thermometers: [None; 8],
         spindle: SpindleModel {
             chain: [Some(ElongationSource::Sensor), None, None],
-            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: SensorSlope(1 << 28) },
             ..SpindleModel::default()
         },
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
         axes: Default::default(),
         straightness: Default::default(),
         squareness: Default::default(),

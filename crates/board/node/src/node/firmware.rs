@@ -14,15 +14,17 @@ use trueup_canopen::{
 use super::{Node, objects::load_abort_code};
 
 /// Bytes that wait for the board at the most: at one segment in 2 ms 0.14 s of them, 14 turns of its supervisor.
-const MAX_PENDING_BYTES: usize = 512;
-const _: () =
-    assert!(MAX_PENDING_BYTES >= FIRMWARE_HEADER_BYTES && MAX_PENDING_BYTES >= 2 * BLOCK_BYTES);
+const MAX_PENDING_FIRMWARE_BYTES: usize = 512;
+const _: () = assert!(
+    MAX_PENDING_FIRMWARE_BYTES >= FIRMWARE_HEADER_BYTES
+        && MAX_PENDING_FIRMWARE_BYTES >= 2 * SDO_BLOCK_BYTES
+);
 
 /// Bytes of a block.
-const BLOCK_BYTES: usize = 7 * sdo::SEGMENTS_PER_BLOCK as usize;
+const SDO_BLOCK_BYTES: usize = 7 * sdo::SEGMENTS_PER_BLOCK as usize;
 
 /// Bytes on their way to the board.
-pub type FirmwareChunk = Vec<u8, MAX_PENDING_BYTES>;
+pub type FirmwareChunk = Vec<u8, MAX_PENDING_FIRMWARE_BYTES>;
 
 /// State of both slots, as object 0x2121 has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -203,7 +205,7 @@ impl Node<'_> {
             TransferTarget::Header if length > FIRMWARE_HEADER_BYTES => {
                 return Err(AbortCode::TooLong);
             }
-            _ if length > MAX_PENDING_BYTES => return Err(AbortCode::CannotStore),
+            _ if length > MAX_PENDING_FIRMWARE_BYTES => return Err(AbortCode::CannotStore),
             TransferTarget::Header => {}
             TransferTarget::Image => {
                 let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
@@ -217,7 +219,8 @@ impl Node<'_> {
     pub(super) fn has_block_capacity(&self) -> bool {
         // The header is taken in one piece.
         self.firmware.transfer == TransferTarget::Header
-            || self.slot.received_bytes().len().saturating_add(BLOCK_BYTES) <= MAX_PENDING_BYTES
+            || self.slot.received_bytes().len().saturating_add(SDO_BLOCK_BYTES)
+                <= MAX_PENDING_FIRMWARE_BYTES
     }
 
     pub(super) fn close_firmware(&mut self) -> Result<(), AbortCode> {

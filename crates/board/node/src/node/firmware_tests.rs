@@ -30,7 +30,7 @@ fn node_in_service(buffer: &mut [u8]) -> Node<'_> {
 }
 
 /// Returns the next step, and its bytes.
-fn take(node: &mut Node<'_>) -> Option<(UpdateStep, Vec<u8>)> {
+fn take_step(node: &mut Node<'_>) -> Option<(UpdateStep, Vec<u8>)> {
     let mut piece = FirmwareChunk::new();
     node.take_firmware_step(&mut piece).map(|step| (step, piece.to_vec()))
 }
@@ -51,17 +51,17 @@ fn begin(node: &mut Node<'_>) {
     node.open(O::FirmwareHeader, Some(512)).expect("allowed");
     for segment in header().chunks(7) {
         node.append(O::FirmwareHeader, segment).expect("room");
-        assert_eq!(take(node), None, "not before all of it has come");
+        assert_eq!(take_step(node), None, "not before all of it has come");
     }
     node.close(O::FirmwareHeader).expect("whole");
-    assert_eq!(take(node), Some((UpdateStep::Begin, header().to_vec())));
-    assert_eq!(take(node), None, "one at a time");
+    assert_eq!(take_step(node), Some((UpdateStep::Begin, header().to_vec())));
+    assert_eq!(take_step(node), None, "one at a time");
     node.finish_firmware_step(UpdateStep::Begin, Ok(()));
 }
 
 /// Has the board take what waits.
-fn drain(node: &mut Node<'_>, flash: &mut Vec<u8>) {
-    let (step, bytes) = take(node).expect("bytes wait");
+fn write_pending_to_flash(node: &mut Node<'_>, flash: &mut Vec<u8>) {
+    let (step, bytes) = take_step(node).expect("bytes wait");
     assert_eq!(step, UpdateStep::Write);
     flash.extend(bytes);
     node.finish_firmware_step(step, Ok(()));
@@ -86,21 +86,21 @@ fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
     for (turn, segment) in first.chunks(7).enumerate() {
         node.append(O::FirmwareImage, segment).expect("room");
         if turn % 5 == 0 {
-            drain(&mut node, &mut flash);
+            write_pending_to_flash(&mut node, &mut flash);
         }
     }
     assert_eq!(node.open(O::New, None), Err(AbortCode::DeviceState), "the buffer is in use");
     // The line breaks. What had come is kept, and the next transfer goes on behind it.
     assert_eq!(number(&node, O::FirmwareReceived), 512 + 1_001);
     assert_eq!(node.open(O::FirmwareImage, Some(999)), Err(AbortCode::DeviceState), "bytes wait");
-    drain(&mut node, &mut flash);
+    write_pending_to_flash(&mut node, &mut flash);
     node.open(O::FirmwareImage, Some(999)).expect("allowed");
     for segment in rest.chunks(7) {
         node.append(O::FirmwareImage, segment).expect("room");
-        drain(&mut node, &mut flash);
+        write_pending_to_flash(&mut node, &mut flash);
     }
     node.close(O::FirmwareImage).expect("whole");
-    assert_eq!(take(&mut node), Some((UpdateStep::Finish, Vec::new())));
+    assert_eq!(take_step(&mut node), Some((UpdateStep::Finish, Vec::new())));
     node.finish_firmware_step(UpdateStep::Finish, Ok(()));
     assert_eq!(flash, image);
     assert_eq!((number(&node, O::FirmwareReceived), number(&node, O::FirmwareRefused)), (2_512, 0));
@@ -113,7 +113,7 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     node.open(O::FirmwareHeader, None).expect("allowed");
     node.append(O::FirmwareHeader, &[0; 512]).expect("room");
     node.close(O::FirmwareHeader).expect("whole");
-    let (step, _) = take(&mut node).expect("a step");
+    let (step, _) = take_step(&mut node).expect("a step");
     node.finish_firmware_step(step, Err(9));
     assert_eq!(number(&node, O::FirmwareRefused), 9);
     assert_eq!(node.open(O::FirmwareImage, None), Err(AbortCode::DeviceState), "none is under way");
@@ -122,7 +122,7 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     assert_eq!(number(&node, O::FirmwareRefused), 0);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[1; 7]).expect("room");
-    let (step, _) = take(&mut node).expect("a step");
+    let (step, _) = take_step(&mut node).expect("a step");
     node.finish_firmware_step(step, Err(11));
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(AbortCode::Value));
     assert_eq!(
@@ -140,7 +140,7 @@ fn a_header_of_another_length_and_too_many_bytes_at_once_are_refused() {
     node.append(O::FirmwareHeader, &[0; 511]).expect("room");
     assert_eq!(node.append(O::FirmwareHeader, &[0; 2]), Err(AbortCode::TooLong));
     assert_eq!(node.close(O::FirmwareHeader), Err(AbortCode::TooShort));
-    assert_eq!(take(&mut node), None);
+    assert_eq!(take_step(&mut node), None);
     begin(&mut node);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[0; 512]).expect("room");

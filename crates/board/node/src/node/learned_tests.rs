@@ -19,13 +19,13 @@ const BASE_ELONGATION_NM: i32 = 717_312;
 const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 20, axes: 0, zero: 50 };
 
 /// A bridge that permits a little, with the blob that says so, and its CNC on CAN.
-struct Rig {
+struct LearnedChangeRig {
     node: Node<'static>,
     calibration: u16,
     counter: u8,
 }
 
-impl Rig {
+impl LearnedChangeRig {
     fn new() -> Self {
         Self::with(LEARNED_LIMITS)
     }
@@ -42,16 +42,16 @@ impl Rig {
     }
 
     /// Engaged, and grown.
-    fn live() -> Self {
+    fn new_engaged() -> Self {
         let mut rig = Self::new();
         rig.send_control_frames(Control::REFERENCED, 3);
         rig.send_control_frames(Control::ENGAGED, 100);
-        assert_eq!(rig.node.last_output().quality, Quality::Live);
-        assert_eq!(rig.z_nm(), BASE_ELONGATION_NM);
+        assert_eq!(rig.node.last_output().quality, OffsetQuality::Live);
+        assert_eq!(rig.z_offset_nm(), BASE_ELONGATION_NM);
         rig
     }
 
-    fn change(&self, part: u8, amount: i16) -> ChangeRequest {
+    fn change_request(&self, part: u8, amount: i16) -> ChangeRequest {
         ChangeRequest { part, amount, calibration: self.calibration }
     }
 
@@ -63,19 +63,19 @@ impl Rig {
                 .receive(Interface::Can, &frames::encode_control(control, self.counter))
                 .expect("in order");
             self.counter = self.counter.wrapping_add(1);
-            all.extend(self.ticks(20));
+            all.extend(self.run_for_ms(20));
         }
         all
     }
 
-    fn ticks(&mut self, ms: u32) -> Vec<i32> {
+    fn run_for_ms(&mut self, ms: u32) -> Vec<i32> {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         let mut all = Vec::new();
         for _ in 0..ms {
-            self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            self.node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
             self.node.service();
-            all.push(self.z_nm());
+            all.push(self.z_offset_nm());
         }
         all
     }
@@ -84,7 +84,7 @@ impl Rig {
         self.send_control_frames(Control { learned: change, ..Control::ENGAGED }, count)
     }
 
-    fn z_nm(&self) -> i32 {
+    fn z_offset_nm(&self) -> i32 {
         self.node.last_output().offset.map_or(i32::MIN, |[_, _, z]| z.0)
     }
 
@@ -99,27 +99,27 @@ impl Rig {
 
 #[test]
 fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step() {
-    let mut rig = Rig::live();
+    let mut rig = LearnedChangeRig::new_engaged();
     // 0.1 % of 717.312 µm are 717 nm; and 500 nm of zero. A hundred units are 10 s.
     let mut all = Vec::new();
-    for part in [rig.change(1, 100), rig.change(5, 500)] {
+    for part in [rig.change_request(1, 100), rig.change_request(5, 500)] {
         all.extend(rig.apply_change(part, 1));
     }
     all.extend(rig.send_control_frames(Control::ENGAGED, 600));
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 120], false));
-    assert_eq!(rig.z_nm(), BASE_ELONGATION_NM + 717 + 120, "what grows is lifted");
+    assert_eq!(rig.z_offset_nm(), BASE_ELONGATION_NM + 717 + 120, "what grows is lifted");
     let largest = all.windows(2).map(|pair| (pair[1] - pair[0]).abs()).max();
     assert!(largest <= Some(8), "a unit of 717 µm is 7.2 nm: {largest:?}");
     // Taken back in the same way.
-    rig.apply_change(rig.change(1, 0), 1);
-    rig.apply_change(rig.change(5, 0), 1);
+    rig.apply_change(rig.change_request(1, 0), 1);
+    rig.apply_change(rig.change_request(5, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 700);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reported() {
-    let good = Rig::new().change(1, 100);
+    let good = LearnedChangeRig::new().change_request(1, 100);
     for bad in [
         ChangeRequest { amount: 2_001, ..good },
         ChangeRequest { amount: -2_001, ..good },
@@ -130,13 +130,17 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reporte
         ChangeRequest { calibration: good.calibration ^ 1, ..good },
         ChangeRequest { calibration: good.calibration ^ 0x8000, ..good },
     ] {
-        let mut rig = Rig::live();
+        let mut rig = LearnedChangeRig::new_engaged();
         rig.apply_change(bad, 50);
-        assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM), "{bad:?}");
+        assert_eq!(
+            (rig.now(), rig.z_offset_nm()),
+            ([0; PART_COUNT], BASE_ELONGATION_NM),
+            "{bad:?}"
+        );
         assert!(rig.is_refused(), "{bad:?}");
         assert_eq!(
             rig.node.last_output().quality,
-            Quality::Live,
+            OffsetQuality::Live,
             "it is a sign of life all the same"
         );
         // Told until nothing of the kind is asked for, and good ones count meanwhile.
@@ -149,15 +153,15 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reporte
 
 #[test]
 fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_nothing_back() {
-    let mut rig = Rig::live();
-    rig.apply_change(rig.change(1, 100), 1);
+    let mut rig = LearnedChangeRig::new_engaged();
+    rig.apply_change(rig.change_request(1, 100), 1);
     let ours = rig.calibration;
     for (part, calibration) in (1..=5).map(|part| (part, ours ^ 1)) {
         rig.apply_change(ChangeRequest { part, amount: 0, calibration }, 100);
     }
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 0], false));
     for part in 1..=5 {
-        rig.apply_change(rig.change(part, 0), 100);
+        rig.apply_change(rig.change_request(part, 0), 100);
     }
     assert_eq!((rig.now(), rig.is_refused()), ([0; PART_COUNT], false), "no cap is below 0");
 
@@ -167,7 +171,7 @@ fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_no
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
         bare.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
-        bare.tick(1, Input::default());
+        bare.tick(1, TickInput::default());
     }
     assert!(!bare.faults(bare.last_output()).contains(Fault::LearnedRefused));
 }
@@ -181,7 +185,7 @@ fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
         node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
-        node.tick(1, Input::default());
+        node.tick(1, TickInput::default());
     }
     assert!(node.faults(node.last_output()).contains(Fault::LearnedRefused));
     assert_eq!(node.state.learned().current(), [0; PART_COUNT]);
@@ -189,8 +193,8 @@ fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
 
 #[test]
 fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
-    let mut rig = Rig::live();
-    let control = Control { learned: rig.change(1, 100), ..Control::ENGAGED };
+    let mut rig = LearnedChangeRig::new_engaged();
+    let control = Control { learned: rig.change_request(1, 100), ..Control::ENGAGED };
     let mut damaged = *frames::encode_control(control, rig.counter).data();
     damaged[4] ^= 1;
     let damaged = Frame::new(CONTROL_ID, &damaged).expect("8 bytes");
@@ -201,15 +205,15 @@ fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
     assert!(rig.node.receive(Interface::Can, &late).is_err());
     let strange = frames::encode_control(control, 0);
     assert_eq!(rig.node.receive(Interface::Serial, &strange), Ok(None));
-    rig.ticks(400);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    rig.run_for_ms(400);
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
     assert!(rig.node.master.has_second_sender(), "a sender on another interface is reported");
 }
 
 #[test]
 fn of_two_masters_on_one_line_neither_is_believed() {
-    let mut rig = Rig::live();
-    let learned = rig.change(1, 100);
+    let mut rig = LearnedChangeRig::new_engaged();
+    let learned = rig.change_request(1, 100);
     for _ in 0..3 {
         let late = frames::encode_control(Control::ENGAGED, rig.counter.wrapping_add(100));
         assert!(rig.node.receive(Interface::Can, &late).is_err());
@@ -222,20 +226,20 @@ fn of_two_masters_on_one_line_neither_is_believed() {
 
 #[test]
 fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
-    let mut rig = Rig::live();
-    rig.apply_change(rig.change(1, 1_000), 1);
-    rig.apply_change(rig.change(1, 0), 1);
+    let mut rig = LearnedChangeRig::new_engaged();
+    rig.apply_change(rig.change_request(1, 1_000), 1);
+    rig.apply_change(rig.change_request(1, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 50);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
-    let mut rig = Rig::with(LearnedLimits { axes: 20, ..LEARNED_LIMITS });
+    let mut rig = LearnedChangeRig::with(LearnedLimits { axes: 20, ..LEARNED_LIMITS });
     rig.send_control_frames(Control::REFERENCED, 3);
     for (part, amount) in [(1, -1), (2, 2), (3, -3), (4, 4), (5, -5)] {
         rig.send_control_frames(
-            Control { learned: rig.change(part, amount), ..Control::REFERENCED },
+            Control { learned: rig.change_request(part, amount), ..Control::REFERENCED },
             30,
         );
     }
@@ -250,9 +254,9 @@ fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
 
 #[test]
 fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
-    let mut rig = Rig::new();
+    let mut rig = LearnedChangeRig::new();
     rig.send_control_frames(Control::REFERENCED, 3);
-    let at_rest = Control { learned: rig.change(5, 30), ..Control::REFERENCED };
+    let at_rest = Control { learned: rig.change_request(5, 30), ..Control::REFERENCED };
     rig.send_control_frames(at_rest, 200);
     assert_eq!(rig.now(), [0, 0, 0, 0, 30]);
     let reported = rig.node.read(EntryContent::Learned(4));
@@ -263,9 +267,9 @@ fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
 
     rig.send_control_frames(at_rest, 200);
     let retained = rig.node.retained_state();
-    let mut again = Rig::new();
+    let mut again = LearnedChangeRig::new();
     again.node.resume(Some(&retained), 0);
     again.send_control_frames(Control::REFERENCED, 3);
     again.send_control_frames(Control::ENGAGED, 100);
-    assert_eq!((again.now(), again.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((again.now(), again.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }

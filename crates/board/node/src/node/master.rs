@@ -214,7 +214,7 @@ impl Master {
     }
 
     /// Returns whether the engage sequence is complete.
-    pub(crate) const fn is_engage_complete(&self) -> bool {
+    pub(crate) const fn is_engage_sequence_complete(&self) -> bool {
         self.is_started
     }
 

@@ -4,7 +4,7 @@
 use trueup_canopen::{heartbeat::HeartbeatConsumer, nmt::NmtCommand, sdo};
 use trueup_link::frame::Frame;
 
-use super::{Node, default_heartbeat_ms};
+use super::{Node, default_heartbeat_period_ms};
 
 impl Node<'_> {
     pub(super) fn handle_nmt_command(&mut self, frame: &Frame) {
@@ -30,7 +30,7 @@ impl Node<'_> {
         self.answer = None;
         self.consumer = HeartbeatConsumer::default();
         self.emergencies.reset_inhibit_time();
-        self.heartbeat.period_ms = default_heartbeat_ms();
+        self.heartbeat.period_ms = default_heartbeat_period_ms();
         self.heartbeat.since_ms = 0;
         self.heartbeat.has_booted = false;
     }

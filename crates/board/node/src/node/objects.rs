@@ -8,11 +8,11 @@ use trueup_canopen::{
     sdo::{AbortCode, ObjectAccess, ObjectValue},
 };
 use trueup_core::{
-    bridge::Reference,
-    cnc::Quality,
+    bridge::ReferenceErrors,
+    cnc::OffsetQuality,
     units::{Nanometres, Temperature},
 };
-use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
+use trueup_link::{layout::NO_TEMPERATURE_RAW, status::StatusItem};
 use trueup_store::{calibration::calibration_crc, load::LoadError};
 
 use super::Node;
@@ -20,7 +20,7 @@ use super::Node;
 impl Node<'_> {
     /// Returns whether no offset is followed: only then may the board be changed under it.
     pub(super) fn is_at_rest(&self) -> bool {
-        matches!(self.last.quality, Quality::Off | Quality::Fault)
+        matches!(self.last.quality, OffsetQuality::Off | OffsetQuality::Fault)
     }
 
     /// Returns a process value in thousandths of its unit.
@@ -47,7 +47,7 @@ impl Node<'_> {
     }
 
     /// RMS noise in thousandths of a code, 65,535 at the most: the second differences have six times its variance.
-    fn noise_thousandths(&self) -> u32 {
+    fn rms_noise_millicodes(&self) -> u32 {
         let squares = u64::from(self.noise.squares).saturating_mul(1_000_000);
         let mean = squares.checked_div(u64::from(self.noise.count).saturating_mul(6));
         // The root of 64 bits would take 400 bytes more.
@@ -71,7 +71,7 @@ impl Node<'_> {
             EntryContent::Error(number) => {
                 self.emergencies.error(number).ok_or(AbortCode::NoData)?
             }
-            EntryContent::Inhibit => self.emergencies.inhibit_time().into(),
+            EntryContent::Inhibit => self.emergencies.inhibit_time_100us().into(),
             EntryContent::ConsumerHeartbeat => self.consumer.to_object_value(),
             EntryContent::ProducerHeartbeat => self.heartbeat.period_ms.into(),
             EntryContent::Offset(axis) => {
@@ -98,7 +98,7 @@ impl Node<'_> {
                 let axis = reference.axes.get(usize::from(axis)).ok_or(AbortCode::NoSubindex)?;
                 nanometres(axis.rounded())
             }
-            EntryContent::HasReference => (reference != Reference::default()).into(),
+            EntryContent::HasReference => (reference != ReferenceErrors::default()).into(),
             EntryContent::Learned(part) => {
                 let part = self.state.learned().current().get(usize::from(part)).copied();
                 signed(part.ok_or(AbortCode::NoSubindex)?.into())
@@ -109,7 +109,7 @@ impl Node<'_> {
                 (_, true) => 2,
                 (last, false) => last.is_some().into(),
             },
-            EntryContent::Noise => self.noise_thousandths(),
+            EntryContent::Noise => self.rms_noise_millicodes(),
             EntryContent::ReceiverCounter(counter) => self.receiver_counter(counter),
             EntryContent::RunningCrc => calibration_crc(self.blob),
             EntryContent::NewCrc => self.new_crc,
@@ -160,33 +160,37 @@ impl Node<'_> {
 
 impl Node<'_> {
     /// Returns what a status frame about this item says.
-    pub(super) fn status_item(&self, number: u8) -> Item {
+    pub(super) fn status_item(&self, number: u8) -> StatusItem {
         let short = |number: u32| u16::try_from(number).unwrap_or(u16::MAX);
         let counters = self.receiver.counters();
         match number {
             pair @ 0..=3 => {
                 let first = pair.saturating_mul(2);
                 let both = [first, first.saturating_add(1)];
-                Item::Temperatures {
+                StatusItem::Temperatures {
                     pair,
                     centi_c: both.map(|channel| self.temperature_centi_c(channel)),
                 }
             }
-            4 => Item::Elongation(self.state.elongation()),
-            5 => Item::Refused {
+            4 => StatusItem::Elongation(self.state.elongation()),
+            5 => StatusItem::Refused {
                 damaged: short(counters.crc_errors),
                 out_of_sequence: short(counters.sequence_errors),
             },
-            6 => {
-                Item::Received { malformed: short(counters.malformed), lost: short(counters.lost) }
-            }
-            7 => Item::Board {
-                noise_thousandths: short(self.noise_thousandths()),
+            6 => StatusItem::Received {
+                malformed: short(counters.malformed),
+                lost: short(counters.lost),
+            },
+            7 => StatusItem::Board {
+                noise_thousandths: short(self.rms_noise_millicodes()),
                 faults: self.faults(&self.last).low_half_word(),
             },
-            8 => Item::State(self.faults(&self.last).state_bits()),
-            9 => Item::Reset { reason: self.board.start.reason, free_stack: self.board.free_stack },
-            _ => Item::Calibration(self.running_crc()),
+            8 => StatusItem::State(self.faults(&self.last).state_bits()),
+            9 => StatusItem::Reset {
+                reason: self.board.start.reason,
+                free_stack: self.board.free_stack,
+            },
+            _ => StatusItem::Calibration(self.running_crc()),
         }
     }
 
@@ -226,7 +230,7 @@ impl ObjectAccess for Node<'_> {
             EntryContent::MachineSerial if !self.machine_identity().serial.is_empty() => {
                 self.machine_identity().serial
             }
-            EntryContent::New => self.slot.stored().ok_or(AbortCode::NoData)?,
+            EntryContent::New => self.slot.stored_blob().ok_or(AbortCode::NoData)?,
             number => return self.entry_value(number).map(ObjectValue::Number),
         }))
     }
@@ -237,16 +241,16 @@ impl ObjectAccess for Node<'_> {
         self.check_change_allowed()?;
         match what {
             EntryContent::ErrorCount if number == 0 => self.emergencies.clear_history(),
-            EntryContent::Inhibit => self.emergencies.set_inhibit_time(short()?),
+            EntryContent::Inhibit => self.emergencies.set_inhibit_time_100us(short()?),
             EntryContent::ConsumerHeartbeat => self.consumer.set_object_value(number)?,
             EntryContent::ProducerHeartbeat => {
                 self.heartbeat.period_ms = short()?;
                 self.heartbeat.since_ms = 0;
             }
             EntryContent::Utc => self.set_utc_s(number),
-            EntryContent::ReferenceElongation => self.write_reference_part(0, number)?,
+            EntryContent::ReferenceElongation => self.stage_reference_part(0, number)?,
             EntryContent::Reference(axis) => {
-                self.write_reference_part(axis.saturating_add(1), number)?
+                self.stage_reference_part(axis.saturating_add(1), number)?
             }
             EntryContent::Forget if number == RESTORE_REFERENCE_SIGNATURE => {
                 self.offer_transferred_reference()?
@@ -284,7 +288,7 @@ impl ObjectAccess for Node<'_> {
         }
     }
 
-    fn is_ready(&self, what: EntryContent) -> bool {
+    fn has_room_for_block(&self, what: EntryContent) -> bool {
         match what {
             EntryContent::FirmwareHeader | EntryContent::FirmwareImage => self.has_block_capacity(),
             // Its buffer takes all of it.

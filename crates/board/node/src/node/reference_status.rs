@@ -9,7 +9,7 @@
 
 use trueup_canopen::{emergency::Fault, sdo::AbortCode};
 use trueup_core::{
-    bridge::Reference,
+    bridge::ReferenceErrors,
     units::{FineNanometres, Nanometres, TimestampMs},
 };
 use trueup_store::{
@@ -23,7 +23,7 @@ use super::{Interface, Node};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ZeroOutcome {
     /// The reference is another one now.
-    Taken(Reference),
+    Taken(ReferenceErrors),
     /// It is as it was: an input is missing, the error is larger than a correction may be, or it has not changed.
     Unchanged,
 }
@@ -31,7 +31,7 @@ pub enum ZeroOutcome {
 /// The reference that is offered, and where the one comes from that counts.
 #[derive(Debug, Default)]
 pub(super) struct OfferedReference {
-    reference: Option<Reference>,
+    reference: Option<ReferenceErrors>,
     /// A reference of another board in nm, as far as it was written: the elongation, X, Y and Z.
     written: [Option<Nanometres>; 4],
     /// The write that has taken the reference, in force or offered; `None`: it is not known.
@@ -43,11 +43,11 @@ pub(super) struct OfferedReference {
 }
 
 impl OfferedReference {
-    pub(crate) const fn has_offer(&self) -> bool {
+    pub(crate) const fn has_offered_reference(&self) -> bool {
         self.reference.is_some()
     }
 
-    pub const fn reference(&self) -> Option<Reference> {
+    pub const fn reference(&self) -> Option<ReferenceErrors> {
         self.reference
     }
 
@@ -69,7 +69,7 @@ impl Node<'_> {
 
     /// Returns the error that counts as none.
     #[must_use]
-    pub fn reference(&self) -> Reference {
+    pub fn reference(&self) -> ReferenceErrors {
         self.state.reference()
     }
 
@@ -84,7 +84,7 @@ impl Node<'_> {
         if is_changed {
             self.require_confirmation(Fault::CalibrationChanged);
         }
-        if !self.permits(&reference) {
+        if !self.permits_reference(&reference) {
             self.set_fault(Fault::Store);
             return false;
         }
@@ -103,7 +103,7 @@ impl Node<'_> {
     pub fn take_reference_status(&mut self) -> Option<ReferenceStatus> {
         core::mem::take(&mut self.offer.is_new).then(|| ReferenceStatus {
             reference: self.offer.reference.unwrap_or_else(|| self.state.reference()),
-            is_offered: self.offer.has_offer(),
+            is_offered: self.offer.has_offered_reference(),
             is_changed: self.questions.contains(Fault::CalibrationChanged),
         })
     }
@@ -112,12 +112,17 @@ impl Node<'_> {
         self.offer.is_new = true;
     }
 
-    fn permits(&self, reference: &Reference) -> bool {
+    fn permits_reference(&self, reference: &ReferenceErrors) -> bool {
         self.bridge.as_ref().is_none_or(|bridge| bridge.is_reference_permitted(reference))
     }
 
     /// Another reference is in force: what was offered is not any more.
-    pub(super) fn end_offer(&mut self, now: Reference, what: WriteKind, line: Option<Interface>) {
+    pub(super) fn end_reference_offer(
+        &mut self,
+        now: ReferenceErrors,
+        what: WriteKind,
+        line: Option<Interface>,
+    ) {
         let about = if what == WriteKind::Forgotten { 0 } else { now.elongation.0.cast_unsigned() };
         let write = self.new_write_record(what, about, line);
         self.push_write(write);
@@ -129,7 +134,7 @@ impl Node<'_> {
     }
 
     /// The operator takes the reference that is offered.
-    pub(super) fn accept_offer(&mut self) {
+    pub(super) fn accept_reference_offer(&mut self) {
         if let Some(reference) = self.offer.reference.take() {
             self.state.set_reference(reference);
             self.offer.is_new = true;
@@ -140,24 +145,30 @@ impl Node<'_> {
     pub(super) fn clear_learned_and_reference(&mut self) {
         self.state.clear_learned();
         // Again and again it would only fill the flash.
-        if self.offer.has_offer() || self.state.reference() != Reference::default() {
-            self.state.set_reference(Reference::default());
-            self.supply.reset_reference_level();
-            self.zero = Some(ZeroOutcome::Taken(Reference::default()));
-            self.end_offer(Reference::default(), WriteKind::Forgotten, self.log.sender());
+        if self.offer.has_offered_reference()
+            || self.state.reference() != ReferenceErrors::default()
+        {
+            self.state.set_reference(ReferenceErrors::default());
+            self.supply.reset_baseline_level();
+            self.zero = Some(ZeroOutcome::Taken(ReferenceErrors::default()));
+            self.end_reference_offer(
+                ReferenceErrors::default(),
+                WriteKind::Forgotten,
+                self.log.sender(),
+            );
         }
     }
 
     /// Keeps a part of another board's reference until the rest of it is there.
-    pub(super) fn write_reference_part(&mut self, part: u8, number: u32) -> Result<(), AbortCode> {
+    pub(super) fn stage_reference_part(&mut self, part: u8, number: u32) -> Result<(), AbortCode> {
         let nm = Nanometres(number.cast_signed());
-        let mut alone = Reference::default();
+        let mut alone = ReferenceErrors::default();
         match part.checked_sub(1).and_then(|axis| alone.axes.get_mut(usize::from(axis))) {
             None => alone.elongation = nm,
             // Beyond 8 mm it is no such error, and more than any limit.
-            Some(axis) => *axis = nanometres_to_fine(nm).ok_or(AbortCode::Value)?,
+            Some(axis) => *axis = to_fine_nanometres(nm).ok_or(AbortCode::Value)?,
         }
-        if !self.permits(&alone) {
+        if !self.permits_reference(&alone) {
             return Err(AbortCode::Value);
         }
         *self.offer.written.get_mut(usize::from(part)).ok_or(AbortCode::NoSubindex)? = Some(nm);
@@ -170,14 +181,14 @@ impl Node<'_> {
         let [Some(elongation), Some(x), Some(y), Some(z)] = self.offer.written else {
             return Err(AbortCode::DeviceState);
         };
-        let back = Reference { elongation, axes: [x, y, z].map(Nanometres::to_fine) };
+        let back = ReferenceErrors { elongation, axes: [x, y, z].map(Nanometres::to_fine) };
         let write = self.new_write_record(
             WriteKind::Offered,
             elongation.0.cast_unsigned(),
             self.log.sender(),
         );
         self.push_write(write);
-        self.state.set_reference(Reference::default());
+        self.state.set_reference(ReferenceErrors::default());
         self.offer = OfferedReference {
             reference: Some(back),
             taken: Some(write),
@@ -196,12 +207,12 @@ impl Node<'_> {
             (0, _) | (_, 0) => {}
             (then, now) => return Some(now.saturating_sub(then)),
         }
-        self.offer.was_now.then(|| self.now.duration_since(TimestampMs(taken.at_ms)) / 1_000)
+        self.offer.was_now.then(|| self.now.duration_ms_since(TimestampMs(taken.at_ms)) / 1_000)
     }
 
     /// Drops the calibration for the next start, once the board has stored the running one anew.
     pub(super) fn request_calibration_drop(&mut self) -> Result<(), AbortCode> {
-        if self.new_crc == 0 || self.slot.stored().is_none() || self.blob.is_empty() {
+        if self.new_crc == 0 || self.slot.stored_blob().is_none() || self.blob.is_empty() {
             return Err(AbortCode::DeviceState);
         }
         self.drops_new = true;
@@ -227,6 +238,6 @@ impl Node<'_> {
 }
 
 /// Returns a length in fine units, if they hold it.
-fn nanometres_to_fine(nm: Nanometres) -> Option<FineNanometres> {
+fn to_fine_nanometres(nm: Nanometres) -> Option<FineNanometres> {
     nm.0.checked_mul(FineNanometres::PER_NANOMETRE).map(FineNanometres)
 }

@@ -2,10 +2,10 @@
 
 use std::{vec, vec::Vec};
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     cnc::{
-        AxisPosition, CncMessage, Conditions, Control, Flags, LinearAxis, Quality, Rotary, Spindle,
-        TravelDirection,
+        AxisPosition, CncMessage, Control, LinearAxis, MachineConditions, OffsetFlags,
+        OffsetQuality, RotaryAxisAngles, SpindleState, TravelDirection,
     },
     units::{AdcCode, MicroDegrees, Position, Rpm},
 };
@@ -28,13 +28,13 @@ fn block(control: Control, counter: u16) -> holding::Registers {
 fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
     for n in 0..ms {
         let noise = core::array::from_fn(|i| AdcCode(code + u16::from((n as usize + i) % 2 == 1)));
-        node.tick(1, Input { codes: Some(&noise), ..Input::default() });
+        node.tick(1, TickInput { codes: Some(&noise), ..TickInput::default() });
         node.service();
     }
 }
 
 /// Returns a node whose PLC has sent this, a block each 20 ms; the counter of the next one.
-fn after(node: &mut Node<'_>, controls: &[Control], first: u16) -> u16 {
+fn send_control_blocks(node: &mut Node<'_>, controls: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in controls {
         assert_eq!(node.receive_registers(&block(*control, counter)), Ok(()));
@@ -49,9 +49,9 @@ fn engaged_node() -> (Node<'static>, u16) {
     // 1 µm in a millisecond.
     calibration.limits.slew_nm_per_s = 1_000_000;
     let mut node = Node::new(calibration.into());
-    let counter = after(&mut node, &[Control::REFERENCED; 4], 0xFFF8);
-    let counter = after(&mut node, &[Control::ENGAGED; 60], counter);
-    assert_eq!(node.last_output().quality, Quality::Live);
+    let counter = send_control_blocks(&mut node, &[Control::REFERENCED; 4], 0xFFF8);
+    let counter = send_control_blocks(&mut node, &[Control::ENGAGED; 60], counter);
+    assert_eq!(node.last_output().quality, OffsetQuality::Live);
     (node, counter)
 }
 
@@ -66,12 +66,12 @@ fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
         [(vec![on; 20], false), (vec![off, off, on, on], false), (vec![off, off, off, on], true)]
     {
         let mut node = Node::new(sensor_only_calibration().into());
-        after(&mut node, &received, 7);
+        send_control_blocks(&mut node, &received, 7);
         assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
     }
     let (mut node, _) = engaged_node();
-    let qualities: Vec<Quality> = (0..4_000)
+    let qualities: Vec<OffsetQuality> = (0..4_000)
         .map(|_| {
             run_for_ms(&mut node, 1, 700);
             node.last_output().quality
@@ -79,10 +79,10 @@ fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
         .collect();
     let mut course = qualities.clone();
     course.dedup();
-    assert_eq!(course[..2], [Quality::Live, Quality::Hold], "{course:?}");
+    assert_eq!(course[..2], [OffsetQuality::Live, OffsetQuality::Hold], "{course:?}");
     // The link timeout of 500 ms, of which 20 had passed before.
-    assert_eq!(qualities.iter().filter(|quality| **quality == Quality::Live).count(), 480);
-    assert_eq!(course.last(), Some(&Quality::Off));
+    assert_eq!(qualities.iter().filter(|quality| **quality == OffsetQuality::Live).count(), 480);
+    assert_eq!(course.last(), Some(&OffsetQuality::Off));
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
             moved[0].abs_diff(moved[1]) < 100,
             "it is off by that if it is followed: {moved:?}"
         );
-        assert_eq!(node.last_output().quality, Quality::Live);
+        assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
     assert_eq!(node.input_data().refused, 3);
     // As on CAN, three that are whole and out of order within 2.4 s are two masters.
@@ -132,7 +132,7 @@ fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_reported { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_reported);
-        assert_eq!(node.last_output().quality, Quality::Live);
+        assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
     assert_eq!(node.input_data().refused, 0);
 }
@@ -146,9 +146,9 @@ fn full_control_block(counter: u16, place: i32) -> holding::Registers {
     let cnc_data = CncData {
         control: Control::ENGAGED,
         positions: LinearAxis::ALL.map(at),
-        rotary: Some(Rotary { angles: [MicroDegrees(1_000 * place); 2] }),
-        spindle: Some(Spindle { speed: Rpm(12_000), load_n: 7 }),
-        conditions: Some(Conditions { tool: 3, bits: 1 }),
+        rotary: Some(RotaryAxisAngles { angles: [MicroDegrees(1_000 * place); 2] }),
+        spindle: Some(SpindleState { speed: Rpm(12_000), load_n: 7 }),
+        conditions: Some(MachineConditions { tool: 3, bits: 1 }),
     };
     cnc_data.encode(counter)
 }
@@ -172,10 +172,10 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
         run_for_ms(&mut in_steps, 4, 700);
         counter = counter.wrapping_add(1);
         assert_eq!(in_steps.holding_registers(), registers, "read back as it was written");
-        assert_eq!(in_steps.last_output().quality, Quality::Live);
+        assert_eq!(in_steps.last_output().quality, OffsetQuality::Live);
     }
     assert_eq!(in_steps.input_data(), at_once.input_data());
-    assert!(!in_steps.last_output().flags.contains(Flags::SPEED_UNKNOWN));
+    assert!(!in_steps.last_output().flags.contains(OffsetFlags::SPEED_UNKNOWN));
 }
 
 #[test]
@@ -191,7 +191,7 @@ fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
         }
         block.commands().for_each(|value| node.receive_command(value));
         run_for_ms(&mut node, 2, 700);
-        assert_eq!(node.last_output().flags.contains(Flags::SPEED_UNKNOWN), is_unknown);
+        assert_eq!(node.last_output().flags.contains(OffsetFlags::SPEED_UNKNOWN), is_unknown);
     }
 }
 
@@ -215,14 +215,14 @@ impl RegisterStore for NodeBridge<'_> {
 #[test]
 fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
     // Read input registers 0 to 27 of unit 1.
-    const READ_REQUEST: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
+    const READ_INPUT_REGISTERS_REQUEST: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
     let (mut node, mut counter) = engaged_node();
     let mut slave = Slave::new(1, FrameTiming::from_baud(115_200));
     let (mut response, mut now_us) = (Response::new(), 0_u32);
     let mut last = None;
     let mut changed = 0;
     for n in 0..100_000_u32 {
-        for byte in READ_REQUEST {
+        for byte in READ_INPUT_REGISTERS_REQUEST {
             now_us = now_us.wrapping_add(96);
             slave.receive(now_us, byte);
         }
@@ -243,7 +243,11 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
             "poll {n}"
         );
         assert_eq!(input_block.counter, (node.now().0 & 0xFFFF) as u16);
-        assert_eq!((input_block.output.quality, input_block.state), (Quality::Live, 0), "poll {n}");
+        assert_eq!(
+            (input_block.output.quality, input_block.state),
+            (OffsetQuality::Live, 0),
+            "poll {n}"
+        );
         changed += u32::from(last.replace(input_block.elongation) != Some(input_block.elongation));
         // Up and down again, not from one end to the other: that would be a jump, and reported.
         let step = n / 8 % 2_000;

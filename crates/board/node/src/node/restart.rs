@@ -13,7 +13,7 @@ impl Node<'_> {
     /// Returns what is to outlast a reset.
     #[must_use]
     pub fn retained_state(&self) -> RetainedState {
-        let heat = self.bridge.as_ref().map(|bridge| bridge.retained_heat(&self.state));
+        let heat = self.bridge.as_ref().map(|bridge| bridge.retained_lags(&self.state));
         RetainedState { heat: heat.unwrap_or_default(), joint: self.state.retained_transfer() }
     }
 
@@ -22,7 +22,7 @@ impl Node<'_> {
     pub fn resume(&mut self, retained: Option<&RetainedState>, off_s: u32) {
         let Some(bridge) = &self.bridge else { return };
         let RetainedState { heat, joint } = retained.copied().unwrap_or_default();
-        bridge.restore_heat(&mut self.state, &heat, off_s.saturating_mul(1_000 / THERMAL_STEP_MS));
+        bridge.restore_lags(&mut self.state, &heat, off_s.saturating_mul(1_000 / THERMAL_STEP_MS));
         if let Some(joint) = joint {
             self.state.restore_transfer(joint);
         }
@@ -32,7 +32,7 @@ impl Node<'_> {
     /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
     pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
         self.clock = self.clock.wrapping_add_ms(elapsed_ms);
-        let behind_ms = self.clock.duration_since(self.now);
+        let behind_ms = self.clock.duration_ms_since(self.now);
         if behind_ms.cast_signed() <= 0 {
             self.clock = self.now;
             return None;

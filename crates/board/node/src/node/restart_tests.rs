@@ -4,7 +4,7 @@ use super::*;
 use crate::node::sensor_only_calibration;
 use trueup_core::{
     calibration::{Calibration, ElongationSource, SpindleWarmupModel},
-    cnc::Spindle,
+    cnc::SpindleState,
     dimensions::CODES_PER_TICK,
     lag::SmoothingFactor,
     units::{AdcCode, Nanometres, Rpm},
@@ -44,7 +44,7 @@ impl EngagedNode {
     fn send_control(&mut self, control: Control) {
         for frame in [
             frames::encode_control(control, self.counter),
-            frames::encode_spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
+            frames::encode_spindle(SpindleState { speed: Rpm(12_000), load_n: 0 }, self.counter),
         ] {
             self.node.receive(Interface::Can, &frame).expect("in order");
         }
@@ -57,7 +57,7 @@ impl EngagedNode {
             if n % 20 == 0 {
                 self.send_control(control);
             }
-            self.node.tick(1, Input::default());
+            self.node.tick(1, TickInput::default());
             self.node.service();
         }
         *self.node.last_output()
@@ -105,7 +105,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
         for n in 0..ms {
             if n % 20 == 0 {
                 let control = if n < 60 { Control::REFERENCED } else { Control::ENGAGED };
-                let spindle = Spindle { speed: Rpm(0), load_n: 0 };
+                let spindle = SpindleState { speed: Rpm(0), load_n: 0 };
                 for frame in [
                     frames::encode_control(control, life.counter),
                     frames::encode_spindle(spindle, life.counter),
@@ -114,13 +114,16 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
                 }
                 life.counter = life.counter.wrapping_add(1);
             }
-            life.node.tick(1, Input::default());
+            life.node.tick(1, TickInput::default());
             life.node.service();
         }
         *life.node.last_output()
     };
     let output = standing(&mut after, 8_000);
-    assert_eq!((output.quality, after.node.faults(&output).state_bits().0), (Quality::Live, 0));
+    assert_eq!(
+        (output.quality, after.node.faults(&output).state_bits().0),
+        (OffsetQuality::Live, 0)
+    );
     let expected = f64::from(grown) * (-28.0_f64 / 20.0).exp();
     assert!((f64::from(z_nm(&output)) - expected).abs() < 200.0, "{output:?} for {expected}");
 }
@@ -131,12 +134,12 @@ fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
     life.node.resume(None, 0);
     life.send_control_for(60, Control::REFERENCED);
     let output = life.send_control_for(1_000, Control::ENGAGED);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
     let bits = life.node.faults(&output).state_bits();
     assert_eq!(bits, trueup_link::status::StateBits::HEAT_UNKNOWN);
     life.send_control_for(60, Control { confirm: true, ..Control::ENGAGED });
     let output = life.send_control_for(1_000, Control::ENGAGED);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
     assert_eq!(life.node.faults(&output).state_bits().0, 0);
 }
 
@@ -148,7 +151,7 @@ fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
     // 1 mm to 1 µm are ten half-lives of 13.9 s.
     assert_eq!(life.send_control_for(137_000, Control::ENGAGED).offset, None);
     let output = life.send_control_for(3_000, Control::ENGAGED);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
     let bits = life.node.faults(&output).state_bits();
     assert_eq!(bits.0, 0, "and reported no longer");
 }
@@ -159,34 +162,34 @@ fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
     let alive: [AdcCode; CODES_PER_TICK] =
         core::array::from_fn(|n| AdcCode(700 + u16::from(n == 1)));
     let mut node = Node::new(sensor_only_calibration().into());
-    for frame in frames::release_sequence() {
+    for frame in frames::disengaged_control_frames() {
         node.receive(Interface::Can, &frame).expect("in order");
     }
     node.receive(Interface::Can, &frames::encode_control(Control::ENGAGED, 3)).expect("in order");
-    let block = Input { codes: Some(&alive), speed: Some(Rpm(12_000)), temperatures: None };
+    let block = TickInput { codes: Some(&alive), speed: Some(Rpm(12_000)), temperatures: None };
     for _ in 0..30 {
         for _ in 0..10 {
             node.tick(1, block);
         }
         assert_eq!(node.catch_up(10), None, "as many as there should be");
     }
-    assert_eq!(node.last_output().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, OffsetQuality::Live);
     let before = node.now();
     let mut missing_after_ms = None;
     for ms in (0..3_000).step_by(10) {
         node.tick(1, block);
         if let Some(behind_ms) = node.catch_up(10) {
-            node.tick(behind_ms, Input::default());
+            node.tick(behind_ms, TickInput::default());
         }
-        let is_missing = node.last_output().flags.contains(Flags::SAMPLES_MISSING);
+        let is_missing = node.last_output().flags.contains(OffsetFlags::SAMPLES_MISSING);
         missing_after_ms = missing_after_ms.or(is_missing.then_some(ms));
         assert!(missing_after_ms.is_none() || is_missing, "it flickers at {ms} ms");
     }
-    let passed_ms = node.now().duration_since(before);
+    let passed_ms = node.now().duration_ms_since(before);
     assert!((2_980..=3_000).contains(&passed_ms), "{passed_ms} ms by its clock");
     assert!(missing_after_ms.is_some_and(|ms| ms <= 20), "{missing_after_ms:?}");
-    assert!(node.last_output().flags.contains(Flags::CNC_LOST), "silent for 3 s");
-    assert_eq!(node.last_output().quality, Quality::Fault);
+    assert!(node.last_output().flags.contains(OffsetFlags::CNC_LOST), "silent for 3 s");
+    assert_eq!(node.last_output().quality, OffsetQuality::Fault);
 }
 
 #[test]
@@ -195,7 +198,7 @@ fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
     for turn in 0..10_000 {
         let count = if turn % 150 == 0 { 9 } else { 10 };
         for _ in 0..count {
-            node.tick(1, Input::default());
+            node.tick(1, TickInput::default());
         }
         assert_eq!(node.catch_up(10), None, "at turn {turn}");
     }
@@ -206,7 +209,7 @@ fn a_turn_without_any_block_is_reported_with_its_length_and_one_with_a_block_is_
     for (blocks, missing_ms) in [(0, Some(10)), (1, None), (10, None)] {
         let mut node = Node::new(sensor_only_calibration().into());
         for _ in 0..blocks {
-            node.tick(1, Input::default());
+            node.tick(1, TickInput::default());
         }
         assert_eq!(node.catch_up(10), missing_ms, "{blocks} blocks in 10 ms");
     }

@@ -35,7 +35,7 @@ impl Node<'_> {
     }
 
     /// Returns whether the running calibration requires the switch, and it is open.
-    fn is_locked(&self) -> bool {
+    fn is_locked_by_service_switch(&self) -> bool {
         let questions =
             |bridge: &trueup_core::bridge::Bridge<'_>| bridge.calibration().guards.service_switch;
         self.bridge.as_ref().is_some_and(questions) && !self.switch.is_closed
@@ -43,7 +43,11 @@ impl Node<'_> {
 
     /// Returns who may write, as the dictionary has it.
     pub(super) fn write_authority(&self) -> WriteAuthority {
-        if self.is_locked() { WriteAuthority::SwitchOpen } else { self.master.write_authority() }
+        if self.is_locked_by_service_switch() {
+            WriteAuthority::SwitchOpen
+        } else {
+            self.master.write_authority()
+        }
     }
 
     /// Checks that the operator allows that a master changes the board, and that no offset is followed.

@@ -15,11 +15,11 @@ use trueup_core::{
 use trueup_link::{
     layout::{CONTROL_PERIOD_MS, STATUS_ID},
     receiver::OffsetReceiver,
-    status::{Item, decode},
+    status::{StatusItem, decode},
 };
 
 /// tanβ = (T − 23 °C)·14.21 µm/m, and K₀ = (T − 23 °C)·2 µm.
-fn law() -> [u8; LAW_SEGMENT_SIZE] {
+fn encode_law_segment() -> [u8; LAW_SEGMENT_SIZE] {
     LawSegment {
         start: Temperature(23 * Temperature::PER_KELVIN),
         // 2 µm = 2000 nm · 256, times 1.024 K, times 16.
@@ -40,7 +40,13 @@ struct Rig<'a> {
 
 impl Rig<'_> {
     /// This many milliseconds; the status items with their times.
-    fn pass(&mut self, ms: u32, kelvin_tenths: i32, x_mm: i32, engage: bool) -> Vec<(u32, Item)> {
+    fn run_for_ms(
+        &mut self,
+        ms: u32,
+        kelvin_tenths: i32,
+        x_mm: i32,
+        engage: bool,
+    ) -> Vec<(u32, StatusItem)> {
         let mut items = vec![];
         let mut raw: RawTemperatures = [RawReading::NONE; CHANNEL_COUNT];
         // A count a tenth of a kelvin.
@@ -57,7 +63,7 @@ impl Rig<'_> {
                 };
                 self.receive(1, |counter| frames::encode_position(position, counter));
             }
-            let input = Input { temperatures: Some(&raw), ..Input::default() };
+            let input = TickInput { temperatures: Some(&raw), ..TickInput::default() };
             for frame in self.node.tick(1, input) {
                 if let Ok(Some(output)) = self.offsets.accept(&frame) {
                     self.last = output.offset.unwrap_or_default();
@@ -79,9 +85,9 @@ impl Rig<'_> {
 }
 
 /// Returns the last slope of X.
-fn last_x_slope(items: &[(u32, Item)]) -> (Option<i16>, i16) {
-    let of_x = |(_, item): &(u32, Item)| match *item {
-        Item::Slope { axis: 0, constant, slope } => Some((constant, slope)),
+fn last_x_slope_item(items: &[(u32, StatusItem)]) -> (Option<i16>, i16) {
+    let of_x = |(_, item): &(u32, StatusItem)| match *item {
+        StatusItem::Slope { axis: 0, constant, slope } => Some((constant, slope)),
         _ => None,
     };
     items.iter().rev().find_map(of_x).expect("every 1.5 s")
@@ -89,7 +95,7 @@ fn last_x_slope(items: &[(u32, Item)]) -> (Option<i16>, i16) {
 
 #[test]
 fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
-    let pieces = [law()];
+    let pieces = [encode_law_segment()];
     let mut calibration = sensor_only_calibration();
     calibration.spindle = Default::default();
     calibration.limits.slew_nm_per_s = 1_000_000;
@@ -104,34 +110,36 @@ fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
     let node = Node::new(calibration.into());
     let mut rig =
         Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
-    rig.pass(200, 249, 2_500, false);
+    rig.run_for_ms(200, 249, 2_500, false);
     // 1.9 K: 27.0 µm/m too far, and 3.8 µm. At 2.5 m, 2 m from the origin: −57.8 µm.
-    let items = rig.pass(3_500, 249, 2_500, true);
+    let items = rig.run_for_ms(3_500, 249, 2_500, true);
     assert!((rig.last[0].0 + 57_798).abs() <= 10, "{:?}", rig.last);
-    assert_eq!(last_x_slope(&items), (Some(-38), -270));
+    assert_eq!(last_x_slope_item(&items), (Some(-38), -270));
     // Elsewhere the offset is another, constant and slope are the same.
-    let items = rig.pass(3_500, 249, 0, true);
+    let items = rig.run_for_ms(3_500, 249, 0, true);
     assert!((rig.last[0].0 - 9_700).abs() <= 10, "{:?}", rig.last);
-    assert_eq!(last_x_slope(&items), (Some(-38), -270));
-    let others = items.iter().filter(|(_, item)| matches!(item, Item::Slope { axis: 1.., .. }));
-    let none =
-        |pair: &(u32, Item)| matches!(pair.1, Item::Slope { constant: Some(0), slope: 0, .. });
+    assert_eq!(last_x_slope_item(&items), (Some(-38), -270));
+    let others =
+        items.iter().filter(|(_, item)| matches!(item, StatusItem::Slope { axis: 1.., .. }));
+    let none = |pair: &(u32, StatusItem)| {
+        matches!(pair.1, StatusItem::Slope { constant: Some(0), slope: 0, .. })
+    };
     assert!(others.clone().count() >= 4 && others.clone().all(none), "Y and Z have none");
     // The state keeps coming at least once a second.
-    let items = rig.pass(6_000, 249, 0, true);
+    let items = rig.run_for_ms(6_000, 249, 0, true);
     let states: Vec<u32> = items
         .iter()
-        .filter_map(|(at, item)| matches!(item, Item::State(_)).then_some(*at))
+        .filter_map(|(at, item)| matches!(item, StatusItem::State(_)).then_some(*at))
         .collect();
     assert!(states.windows(2).all(|pair| pair[1] - pair[0] <= 1_000), "{states:?}");
     // Disengaged both go to 0.
-    let items = rig.pass(3_500, 249, 2_500, false);
-    assert_eq!((rig.last[0].0, last_x_slope(&items)), (0, (Some(0), 0)));
+    let items = rig.run_for_ms(3_500, 249, 2_500, false);
+    assert_eq!((rig.last[0].0, last_x_slope_item(&items)), (0, (Some(0), 0)));
 }
 
 #[test]
 fn a_slope_goes_on_its_way_no_faster_than_the_slew_limit_at_its_place() {
-    let pieces = [law()];
+    let pieces = [encode_law_segment()];
     let mut calibration = sensor_only_calibration();
     calibration.spindle = Default::default();
     // 4 µm/s: 6 µm in 1.5 s, at 4 m 1.5 µm/m.
@@ -147,19 +155,19 @@ fn a_slope_goes_on_its_way_no_faster_than_the_slew_limit_at_its_place() {
     let node = Node::new(calibration.into());
     let mut rig =
         Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
-    rig.pass(200, 249, 4_000, false);
-    let items = rig.pass(9_000, 249, 4_000, true);
+    rig.run_for_ms(200, 249, 4_000, false);
+    let items = rig.run_for_ms(9_000, 249, 4_000, true);
     let slopes: Vec<i16> = items
         .iter()
         .filter_map(|(_, item)| match *item {
-            Item::Slope { axis: 0, slope, .. } => Some(slope),
+            StatusItem::Slope { axis: 0, slope, .. } => Some(slope),
             _ => None,
         })
         .collect();
     assert!(slopes.len() >= 5 && *slopes.last().expect("some") < -40, "{slopes:?}");
     assert!(slopes.windows(2).all(|pair| (0..=15).contains(&(pair[0] - pair[1]))), "{slopes:?}");
     // What is sent is what is applied, on its way too.
-    let (constant, slope) = last_x_slope(&rig.pass(1_500, 249, 4_000, true));
+    let (constant, slope) = last_x_slope_item(&rig.run_for_ms(1_500, 249, 4_000, true));
     let sum_nm = i32::from(constant.expect("available")) * 100 + i32::from(slope) * 400;
     // The newest is up to 1.5 s old: 6 µm.
     assert!((rig.last[0].0 - sum_nm).abs() <= 6_100, "{sum_nm} {:?}", rig.last);

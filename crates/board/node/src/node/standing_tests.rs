@@ -10,7 +10,7 @@ use trueup_canopen::{
     sdo::{AbortCode, ObjectAccess as _, ObjectValue},
 };
 use trueup_core::{
-    bridge::Reference,
+    bridge::ReferenceErrors,
     dimensions::CODES_PER_TICK,
     units::{AdcCode, FineNanometres, Nanometres},
 };
@@ -22,11 +22,11 @@ use trueup_store::{
 };
 
 /// A CNC, or who says that it is one, on the serial line.
-struct Cnc {
+struct TestCnc {
     counter: u8,
 }
 
-impl Cnc {
+impl TestCnc {
     fn send_control(&mut self, node: &mut Node<'_>, control: Control, times: u32) {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|n| AdcCode(400 + u16::from(n % 2 == 1)));
@@ -35,7 +35,7 @@ impl Cnc {
                 .expect("in order");
             self.counter = self.counter.wrapping_add(1);
             for _ in 0..20 {
-                node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+                node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
                 node.service();
             }
         }
@@ -49,17 +49,17 @@ impl Cnc {
     }
 }
 
-const SERVICE: Control = Control { service: true, ..Control::REFERENCED };
+const SERVICE_CONTROL: Control = Control { service: true, ..Control::REFERENCED };
 
-fn run_without_control(node: &mut Node<'_>, ms: u32) {
+fn run_without_control_for(node: &mut Node<'_>, ms: u32) {
     for _ in 0..ms {
-        node.tick(1, Input::default());
+        node.tick(1, TickInput::default());
         node.service();
     }
 }
 
-fn reference(elongation_nm: i32) -> Reference {
-    Reference {
+fn reference(elongation_nm: i32) -> ReferenceErrors {
+    ReferenceErrors {
         elongation: Nanometres(elongation_nm),
         axes: [FineNanometres(256), FineNanometres(0), FineNanometres(-512)],
     }
@@ -83,7 +83,7 @@ fn board(max_um: [i32; 3]) -> Node<'static> {
     })
 }
 
-fn engaged(node: &mut Node<'_>, cnc: &mut Cnc) -> Quality {
+fn engage(node: &mut Node<'_>, cnc: &mut TestCnc) -> OffsetQuality {
     cnc.send_control(node, Control::REFERENCED, 4);
     cnc.send_control(node, Control::ENGAGED, 40);
     node.last_output().quality
@@ -95,14 +95,14 @@ fn an_offered_reference_bars_every_offset_until_confirm_takes_it() {
     let offered =
         ReferenceStatus { is_offered: true, ..ReferenceStatus::in_force(reference(32_840)) };
     assert!(node.restore_reference_status(offered, None));
-    let mut cnc = Cnc { counter: 0 };
-    assert_eq!(engaged(&mut node, &mut cnc), Quality::Fault);
+    let mut cnc = TestCnc { counter: 0 };
+    assert_eq!(engage(&mut node, &mut cnc), OffsetQuality::Fault);
     assert_eq!(state(&node).0 & !1, StateBits::REFERENCE_OFFERED.0);
-    assert_eq!(node.reference(), Reference::default());
+    assert_eq!(node.reference(), ReferenceErrors::default());
     cnc.confirm(&mut node);
     assert_eq!(node.reference(), reference(32_840));
     assert_eq!(node.take_reference_status(), Some(ReferenceStatus::in_force(reference(32_840))));
-    assert_eq!(engaged(&mut node, &mut cnc), Quality::Live);
+    assert_eq!(engage(&mut node, &mut cnc), OffsetQuality::Live);
     assert_eq!(state(&node).0, 0);
 }
 
@@ -113,14 +113,14 @@ fn zero_replaces_an_offered_reference_and_forgetting_declines_it() {
     for declines in [false, true] {
         let mut node = board([500; 3]);
         node.restore_reference_status(offered, None);
-        let mut cnc = Cnc { counter: 0 };
-        cnc.send_control(&mut node, SERVICE, 30);
+        let mut cnc = TestCnc { counter: 0 };
+        cnc.send_control(&mut node, SERVICE_CONTROL, 30);
         if declines {
             node.write(O::Forget, CLEAR_REFERENCE_SIGNATURE).expect("allowed");
-            assert_eq!(node.reference(), Reference::default());
+            assert_eq!(node.reference(), ReferenceErrors::default());
         } else {
             cnc.send_control(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
-            assert_ne!(node.reference(), Reference::default());
+            assert_ne!(node.reference(), ReferenceErrors::default());
         }
         let now = node.reference();
         assert_eq!(
@@ -129,7 +129,7 @@ fn zero_replaces_an_offered_reference_and_forgetting_declines_it() {
             "{declines}"
         );
         assert_eq!(node.read(O::OfferedElongation), Ok(ObjectValue::Number(1 << 31)));
-        assert_eq!(engaged(&mut node, &mut cnc), Quality::Live, "{declines}");
+        assert_eq!(engage(&mut node, &mut cnc), OffsetQuality::Live, "{declines}");
     }
 }
 
@@ -145,18 +145,18 @@ fn one_edge_of_confirm_answers_one_question_in_the_fixed_order() {
     for question in [Fault::HeatUnknown, Fault::OlderCalibration, Fault::ForeignMachine] {
         node.require_confirmation(question);
     }
-    let mut cnc = Cnc { counter: 0 };
+    let mut cnc = TestCnc { counter: 0 };
     for question in [
         Fault::ForeignMachine,
         Fault::CalibrationChanged,
         Fault::OlderCalibration,
         Fault::ReferenceOffered,
     ] {
-        assert_eq!(engaged(&mut node, &mut cnc), Quality::Fault, "{question:?}");
+        assert_eq!(engage(&mut node, &mut cnc), OffsetQuality::Fault, "{question:?}");
         cnc.confirm(&mut node);
         assert_eq!(node.take_confirmed_fault(), Some(question));
     }
-    assert_eq!(engaged(&mut node, &mut cnc), Quality::Live);
+    assert_eq!(engage(&mut node, &mut cnc), OffsetQuality::Live);
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
         (O::ReferenceElongation, i32::MIN, false),
     ] {
         let mut node = board(limits_um);
-        Cnc { counter: 0 }.send_control(&mut node, SERVICE, 5);
+        TestCnc { counter: 0 }.send_control(&mut node, SERVICE_CONTROL, 5);
         let taken = node.write(part, nm.cast_unsigned());
         assert_eq!(taken, if may { Ok(()) } else { Err(AbortCode::Value) }, "{part:?} {nm}");
     }
@@ -187,23 +187,23 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
             };
             assert_eq!(node.restore_reference_status(standing, None), may);
             assert_eq!(state(&node).contains(StateBits::STORE_FAILING), !may, "it is reported");
-            assert_eq!(node.offer.has_offer(), may && is_offered);
-            assert_eq!(node.reference() != Reference::default(), may && !is_offered);
+            assert_eq!(node.offer.has_offered_reference(), may && is_offered);
+            assert_eq!(node.reference() != ReferenceErrors::default(), may && !is_offered);
         }
     }
     // The spindle of these codes has grown by 410 µm.
     let mut node = board(limits_um);
-    let mut cnc = Cnc { counter: 0 };
+    let mut cnc = TestCnc { counter: 0 };
     cnc.send_control(&mut node, Control::REFERENCED, 30);
     cnc.send_control(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
     assert_eq!(
         (node.take_zero_outcome(), node.reference()),
-        (Some(ZeroOutcome::Unchanged), Reference::default())
+        (Some(ZeroOutcome::Unchanged), ReferenceErrors::default())
     );
 }
 
 /// Loads another calibration over the serial line, and returns the write that is logged.
-fn load(node: &mut Node<'_>) -> WriteRecord {
+fn load_other_calibration(node: &mut Node<'_>) -> WriteRecord {
     let mut calibration = sensor_only_calibration();
     calibration.limits.hold_ms = 77;
     let mut place = [0; MAX_BLOB_SIZE];
@@ -212,7 +212,7 @@ fn load(node: &mut Node<'_>) -> WriteRecord {
     node.open(O::New, None).expect("allowed");
     node.append(O::New, &blob).and_then(|()| node.close(O::New)).expect("allowed");
     let mut load = node.take_received_calibration().expect("whole");
-    load.validate().expect("a calibration");
+    load.validate_blob().expect("a calibration");
     node.finish_load(load, LoadOutcome::Stored);
     let writes: Vec<_> = core::iter::from_fn(|| node.take_pending_write()).collect();
     writes.into_iter().find(|write| write.what == WriteKind::Loaded).expect("it is logged")
@@ -223,26 +223,26 @@ fn a_load_is_unattended_unless_the_master_is_a_cnc_that_sends() {
     // A tool that speaks for want of a CNC has no axes.
     let tool = Control { service: true, ..Control::default() };
     let mut node = board([500; 3]);
-    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
-    assert!(load(&mut node).is_unattended);
+    TestCnc { counter: 0 }.send_control(&mut node, tool, 10);
+    assert!(load_other_calibration(&mut node).is_unattended);
     // A CNC that is there since the start, whether or not it has engaged.
     let mut node = board([500; 3]);
-    let mut cnc = Cnc { counter: 0 };
-    cnc.send_control(&mut node, SERVICE, 10);
-    assert!(!load(&mut node).is_unattended);
+    let mut cnc = TestCnc { counter: 0 };
+    cnc.send_control(&mut node, SERVICE_CONTROL, 10);
+    assert!(!load_other_calibration(&mut node).is_unattended);
     // A CNC after a silence, until it has engaged.
-    run_without_control(&mut node, 600);
-    cnc.send_control(&mut node, SERVICE, 100);
-    assert!(load(&mut node).is_unattended);
+    run_without_control_for(&mut node, 600);
+    cnc.send_control(&mut node, SERVICE_CONTROL, 100);
+    assert!(load_other_calibration(&mut node).is_unattended);
     cnc.send_control(&mut node, Control::ENGAGED, 10);
-    cnc.send_control(&mut node, SERVICE, 300);
-    assert!(!load(&mut node).is_unattended);
+    cnc.send_control(&mut node, SERVICE_CONTROL, 300);
+    assert!(!load_other_calibration(&mut node).is_unattended);
     // Another CNC goes on in its place.
-    let stranger = frames::encode_control(SERVICE, cnc.counter.wrapping_add(100));
+    let stranger = frames::encode_control(SERVICE_CONTROL, cnc.counter.wrapping_add(100));
     node.receive(Interface::Serial, &stranger).expect_err("out of sequence");
     cnc.counter = cnc.counter.wrapping_add(101);
-    cnc.send_control(&mut node, SERVICE, 10);
-    assert!(load(&mut node).is_unattended);
+    cnc.send_control(&mut node, SERVICE_CONTROL, 10);
+    assert!(load_other_calibration(&mut node).is_unattended);
 }
 
 #[test]
@@ -251,25 +251,25 @@ fn a_first_calibration_needs_no_confirmation() {
     node.set_fault(Fault::ExampleConstants);
     node.update_inhibition();
     let tool = Control { service: true, ..Control::default() };
-    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
-    assert!(!load(&mut node).is_unattended);
+    TestCnc { counter: 0 }.send_control(&mut node, tool, 10);
+    assert!(!load_other_calibration(&mut node).is_unattended);
     let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
     let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
-    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
-    assert!(!load(&mut node).is_unattended);
+    TestCnc { counter: 0 }.send_control(&mut node, tool, 10);
+    assert!(!load_other_calibration(&mut node).is_unattended);
 }
 
 #[test]
 fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     let mut node = board([500; 3]);
-    let mut cnc = Cnc { counter: 0 };
-    cnc.send_control(&mut node, SERVICE, 10);
+    let mut cnc = TestCnc { counter: 0 };
+    cnc.send_control(&mut node, SERVICE_CONTROL, 10);
     assert_eq!(
         node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE),
         Err(AbortCode::DeviceState),
         "nothing waits"
     );
-    let crc = load(&mut node).about;
+    let crc = load_other_calibration(&mut node).about;
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
     assert_eq!(node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE + 1), Err(AbortCode::Value));
     node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE).expect("allowed");
@@ -279,7 +279,7 @@ fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     let write = node.take_pending_write().map(|write| (write.what, write.about, write.origin));
     assert_eq!(write, Some((WriteKind::Cancelled, crc, WriteOrigin::Serial)));
     // A store that takes nothing leaves it, and is reported.
-    load(&mut node);
+    load_other_calibration(&mut node);
     node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE).expect("allowed");
     node.finish_calibration_drop(false);
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
@@ -289,11 +289,11 @@ fn a_load_that_waits_for_the_next_start_is_dropped_once() {
 #[test]
 fn the_age_of_a_reference_is_known_in_the_start_that_has_taken_it_or_by_two_times_of_day() {
     let mut node = board([500; 3]);
-    let mut cnc = Cnc { counter: 0 };
+    let mut cnc = TestCnc { counter: 0 };
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(u32::MAX)));
-    cnc.send_control(&mut node, SERVICE, 30);
-    cnc.send_control(&mut node, Control { zero: true, ..SERVICE }, 5);
-    cnc.send_control(&mut node, SERVICE, 500);
+    cnc.send_control(&mut node, SERVICE_CONTROL, 30);
+    cnc.send_control(&mut node, Control { zero: true, ..SERVICE_CONTROL }, 5);
+    cnc.send_control(&mut node, SERVICE_CONTROL, 500);
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(10)));
     let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, WriteOrigin::Serial as u8]));
     assert_eq!(node.read(O::ReferenceOrigin), Ok(ObjectValue::Number(by)));

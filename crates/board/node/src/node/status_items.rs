@@ -3,21 +3,21 @@
 use trueup_core::cnc::LinearAxis;
 use trueup_link::{
     layout::STATUS_PERIOD_MS,
-    status::{FRAMES_PER_CYCLE, ITEM_COUNT_WITHOUT_SLOPES, ITEM_SEQUENCE, Item},
+    status::{ITEM_COUNT_WITHOUT_SLOPES, ITEM_SEQUENCE, STATUS_FRAMES_PER_CYCLE, StatusItem},
 };
 
 use super::Node;
 
 /// Milliseconds from one slope of an axis to the next.
-const AXIS_SLOPE_PERIOD_MS: u32 = STATUS_PERIOD_MS.wrapping_mul(FRAMES_PER_CYCLE as u32);
+const AXIS_SLOPE_PERIOD_MS: u32 = STATUS_PERIOD_MS.wrapping_mul(STATUS_FRAMES_PER_CYCLE as u32);
 
 impl Node<'_> {
     /// Returns the next item of the status. A bridge without a slope leaves out what follows the others.
     // Ten a second: not in what sends them.
     #[inline(never)]
-    pub(super) fn next_status_item(&mut self) -> Item {
+    pub(super) fn next_status_item(&mut self) -> StatusItem {
         let has_slope = self.bridge.as_ref().is_some_and(trueup_core::bridge::Bridge::has_slope);
-        let count = if has_slope { FRAMES_PER_CYCLE } else { ITEM_COUNT_WITHOUT_SLOPES };
+        let count = if has_slope { STATUS_FRAMES_PER_CYCLE } else { ITEM_COUNT_WITHOUT_SLOPES };
         let place = self.status.item;
         let next = place.saturating_add(1);
         self.status.item = if next < count { next } else { 0 };
@@ -29,16 +29,16 @@ impl Node<'_> {
     }
 
     /// Returns the offset of an axis as constant and slope.
-    fn slope_item(&mut self, axis: u8) -> Item {
+    fn slope_item(&mut self, axis: u8) -> StatusItem {
         let number = usize::from(axis);
         let (Some(bridge), Some(name), Some(sent)) =
             (&self.bridge, LinearAxis::ALL.get(number), self.status.slopes.get_mut(number))
         else {
-            return Item::Slope { axis, constant: None, slope: 0 };
+            return StatusItem::Slope { axis, constant: None, slope: 0 };
         };
         let parts =
             bridge.constant_and_slope(&self.state, &self.last, *name, *sent, AXIS_SLOPE_PERIOD_MS);
         *sent = parts.slope;
-        Item::Slope { axis, constant: parts.constant, slope: parts.slope }
+        StatusItem::Slope { axis, constant: parts.constant, slope: parts.slope }
     }
 }

@@ -2,12 +2,12 @@
 
 use super::Node;
 use trueup_canopen::emergency::Fault;
-use trueup_core::{supply::SupplyLevel, units::AdcCode};
+use trueup_core::{supply::InternalReferenceLevel, units::AdcCode};
 
 impl Node<'_> {
     /// Takes a code of the converter's internal reference, one in 10 ms: readings count as if the supply were
     /// what it was, up to 3 %; beyond, what is measured by it is not believed.
-    pub fn receive_supply(&mut self, code: AdcCode) {
+    pub fn receive_supply_code(&mut self, code: AdcCode) {
         self.supply.receive(code);
         let is_off = self.supply.is_out_of_tolerance();
         self.set_or_clear_fault(is_off, Fault::SupplyOff);
@@ -16,12 +16,12 @@ impl Node<'_> {
 
     /// Returns the level of the supply that readings, and with them the reference, count from; 0: not known yet.
     #[must_use]
-    pub fn supply_basis(&self) -> SupplyLevel {
-        self.supply.reference_level()
+    pub fn supply_basis(&self) -> InternalReferenceLevel {
+        self.supply.baseline_level()
     }
 
     /// Takes up a level that was stored with the reference.
-    pub fn set_supply_basis(&mut self, basis: SupplyLevel) {
-        self.supply.set_reference_level(basis);
+    pub fn set_supply_basis(&mut self, basis: InternalReferenceLevel) {
+        self.supply.set_baseline_level(basis);
     }
 }

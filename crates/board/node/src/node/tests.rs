@@ -10,7 +10,7 @@ use trueup_canopen::{
     dictionary::{AccessType, CLEAR_REFERENCE_SIGNATURE, DataType, OBJECTS},
     sdo::AbortCode,
 };
-use trueup_core::{bridge::Reference, cnc::Control, units::Nanometres};
+use trueup_core::{bridge::ReferenceErrors, cnc::Control, units::Nanometres};
 use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_RESPONSE_ID};
 use trueup_link::status::ResetReason;
 use trueup_store::{
@@ -30,7 +30,7 @@ std::thread_local! {
 /// Lets this many milliseconds pass without samples; returns the other messages than the offsets.
 fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
     let text = (0..ms).flat_map(|_| {
-        node.tick(1, Input::default());
+        node.tick(1, TickInput::default());
         if node.now().0.is_multiple_of(100) && SERVICE.get().is_some() {
             service(node);
         }
@@ -189,7 +189,7 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
         send_calibration(&mut node, &bytes);
         assert!(pass(&mut node, 20).iter().all(|frame| frame.id() != SDO_RESPONSE_ID));
         let mut load = node.take_received_calibration().expect("it has come whole");
-        assert_eq!(load.validate().is_ok(), fate != LoadOutcome::Refused);
+        assert_eq!(load.validate_blob().is_ok(), fate != LoadOutcome::Refused);
         assert!(node.take_received_calibration().is_none());
         node.finish_load(load, fate);
         let frames = pass(&mut node, 5);
@@ -201,7 +201,7 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
         if stored {
             assert_eq!(read_domain(&mut node, 0x2100, 2), other);
             let segments = bytes.len().div_ceil(7);
-            let took = node.now().duration_since(started);
+            let took = node.now().duration_ms_since(started);
             std::println!("{} bytes, {segments} segments, both ways: {took} ms", bytes.len());
         } else {
             assert_eq!(read(&mut node, 0x2100, 2), Err(AbortCode::NoData.code()));
@@ -227,14 +227,17 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
     assert_eq!(write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE), Ok(()));
     assert_eq!(node.take_zero_outcome(), None, "there is none to forget");
     node.restore_reference_status(
-        ReferenceStatus::in_force(Reference { elongation: Nanometres(1), ..Reference::default() }),
+        ReferenceStatus::in_force(ReferenceErrors {
+            elongation: Nanometres(1),
+            ..ReferenceErrors::default()
+        }),
         None,
     );
     assert_eq!(write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE), Ok(()));
     assert!(matches!(node.take_zero_outcome(), Some(ZeroOutcome::Taken(_))));
     let wrong_signature = write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE + 1);
     assert_eq!(wrong_signature, Err(AbortCode::Value.code()));
-    node.last.quality = Quality::Live;
+    node.last.quality = OffsetQuality::Live;
     receive(&mut node, request(0x21, 0x2100, 2, 700));
     let refused = node.answer.expect("at once");
     let abort = u32::from_le_bytes(*refused.data().last_chunk().unwrap());
@@ -349,19 +352,19 @@ fn a_node_restarts_only_when_it_is_asked_itself_and_no_offset_is_followed() {
         service(&mut node);
         command(&mut node, &data);
         assert_eq!((node.take_restart_request(), node.take_restart_request()), (true, false));
-        for quality in [Quality::Live, Quality::Hold, Quality::RampingOut] {
+        for quality in [OffsetQuality::Live, OffsetQuality::Hold, OffsetQuality::RampingOut] {
             node.last.quality = quality;
             command(&mut node, &data);
             // Nor does it restart once the offset is gone: that was asked at another time.
             assert!(!node.take_restart_request(), "{quality:?}");
-            node.last.quality = Quality::Off;
+            node.last.quality = OffsetQuality::Off;
             assert!(!node.take_restart_request(), "{quality:?}");
         }
         // Asked in time, but the CNC was quicker.
         command(&mut node, &data);
-        node.last.quality = Quality::Live;
+        node.last.quality = OffsetQuality::Live;
         assert!(!node.take_restart_request());
-        node.last.quality = Quality::Off;
+        node.last.quality = OffsetQuality::Off;
     }
 }
 
@@ -373,7 +376,7 @@ fn stop_and_start_change_no_frame() {
             if let Some(data) = commands.get(ms / 100).filter(|_| ms % 100 == 50) {
                 command(&mut node, data);
             }
-            node.tick(1, Input::default()).into_iter().chain(node.service()).collect::<Vec<_>>()
+            node.tick(1, TickInput::default()).into_iter().chain(node.service()).collect::<Vec<_>>()
         });
         sent.collect()
     };
@@ -407,7 +410,9 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
 
 #[test]
 fn reset_communication_is_passed_over_while_an_offset_is_followed() {
-    for (quality, period_ms) in [(Quality::Live, 20), (Quality::Hold, 20), (Quality::Off, 100)] {
+    for (quality, period_ms) in
+        [(OffsetQuality::Live, 20), (OffsetQuality::Hold, 20), (OffsetQuality::Off, 100)]
+    {
         let mut node = Node::new(sensor_only_calibration().into());
         node.heartbeat.period_ms = 20;
         node.last.quality = quality;
@@ -419,7 +424,7 @@ fn reset_communication_is_passed_over_while_an_offset_is_followed() {
 #[test]
 fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
-    use trueup_link::status::{FrameRejectReason, Item, decode};
+    use trueup_link::status::{FrameRejectReason, StatusItem, decode};
     let start = ResetInfo { reason: ResetReason::Watchdog, ..ResetInfo::default() };
     let mut node = Node::new(Configuration { start, ..sensor_only_calibration().into() });
     node.set_free_stack(4_000);
@@ -433,20 +438,20 @@ fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
     for (number, (counter, status)) in (0..).zip(&first) {
         assert_eq!((*counter, status.last_refused), (number, FrameRejectReason::None));
         let item = match status.item {
-            Item::Temperatures { pair, centi_c: [None, None] } => pair,
-            Item::Elongation(None) => 4,
-            Item::Refused { damaged: 0, out_of_sequence: 0 } => 5,
-            Item::Received { malformed: 0, lost: 0 } => 6,
-            Item::Board { noise_thousandths: 0, faults } => {
+            StatusItem::Temperatures { pair, centi_c: [None, None] } => pair,
+            StatusItem::Elongation(None) => 4,
+            StatusItem::Refused { damaged: 0, out_of_sequence: 0 } => 5,
+            StatusItem::Received { malformed: 0, lost: 0 } => 6,
+            StatusItem::Board { noise_thousandths: 0, faults } => {
                 assert_eq!(faults, node.faults(&node.last).low_half_word());
                 7
             }
-            Item::State(bits) => {
+            StatusItem::State(bits) => {
                 assert_eq!(bits, node.faults(&node.last).state_bits());
                 8
             }
-            Item::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 } => 9,
-            Item::Calibration(0) => 10,
+            StatusItem::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 } => 9,
+            StatusItem::Calibration(0) => 10,
             other => panic!("{other:?}"),
         };
         assert_eq!(item, number % 11);
@@ -468,10 +473,10 @@ fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
         for (_, status) in statuses(&mut node, 1_100) {
             assert_eq!(status.last_refused, reason);
             match status.item {
-                Item::Refused { damaged, out_of_sequence } => {
+                StatusItem::Refused { damaged, out_of_sequence } => {
                     (found[0], found[1]) = (Some(damaged), Some(out_of_sequence));
                 }
-                Item::Received { malformed, lost } => {
+                StatusItem::Received { malformed, lost } => {
                     (found[2], found[3]) = (Some(malformed), Some(lost));
                 }
                 _ => {}
@@ -491,8 +496,11 @@ fn a_fault_of_a_single_tick_is_reported_whenever_it_comes() {
         let mut messages = Vec::new();
         for ms in 0..200 {
             let speed = (ms != 100 + phase).then_some(Rpm(12_000));
-            node.tick(1, Input { codes: Some(&alive), speed, temperatures: None });
-            assert_eq!(node.last_output().flags.contains(Flags::SPEED_UNKNOWN), speed.is_none());
+            node.tick(1, TickInput { codes: Some(&alive), speed, temperatures: None });
+            assert_eq!(
+                node.last_output().flags.contains(OffsetFlags::SPEED_UNKNOWN),
+                speed.is_none()
+            );
             messages.extend(node.service());
         }
         assert_eq!(codes_of(&messages), [0x6102, 0x9001, 0], "at {phase}");

@@ -3,7 +3,7 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_core::{
-    bridge::Reference,
+    bridge::ReferenceErrors,
     cnc::Control,
     dimensions::CODES_PER_TICK,
     units::{AdcCode, Nanometres},
@@ -14,7 +14,7 @@ use trueup_link::{
 };
 use trueup_store::reference::ReferenceStatus;
 
-const NO_INPUT: Input<'static> = Input { codes: None, speed: None, temperatures: None };
+const NO_INPUT: TickInput<'static> = TickInput { codes: None, speed: None, temperatures: None };
 
 #[test]
 fn both_halves_of_a_cycle_share_a_counter_that_counts_the_cycles() {
@@ -48,11 +48,11 @@ fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
 fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
     let mut node = Node::new(Configuration::default());
     let codes = [AdcCode(700); CODES_PER_TICK];
-    let sent = node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+    let sent = node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
     let mut receiver = OffsetReceiver::new();
     let output = sent.iter().filter_map(|f| receiver.accept(f).unwrap_or_default()).next();
     let output = output.expect("a whole cycle");
-    assert_eq!((output.offset, output.quality, output.age_ms), (None, Quality::Fault, 255));
+    assert_eq!((output.offset, output.quality, output.age_ms), (None, OffsetQuality::Fault, 255));
     let sent_frames = (0..110).filter_map(|_| {
         node.tick(1, NO_INPUT);
         node.service()
@@ -66,14 +66,14 @@ fn a_board_on_a_fall_back_marks_every_frame() {
     for is_degraded in [false, true] {
         let mut node = Node::new(Configuration { is_degraded, ..sensor_only_calibration().into() });
         node.tick(1, NO_INPUT);
-        assert_eq!(node.last_output().flags.contains(Flags::BOARD_DEGRADED), is_degraded);
+        assert_eq!(node.last_output().flags.contains(OffsetFlags::BOARD_DEGRADED), is_degraded);
     }
 }
 
 /// Returns a node that has received the engage sequence but for its end; the next counter is 3.
 fn started_node() -> Node<'static> {
     let mut node = Node::new(sensor_only_calibration().into());
-    for frame in frames::release_sequence() {
+    for frame in frames::disengaged_control_frames() {
         node.receive(Interface::Can, &frame).expect("in order");
     }
     node
@@ -92,7 +92,7 @@ fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() 
     };
     let live = |node: &mut Node<'_>, ms| {
         for _ in 0..ms {
-            node.tick(1, Input { codes: Some(&live_codes(400)), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&live_codes(400)), ..TickInput::default() });
         }
     };
     let mut node = started_node();
@@ -110,7 +110,7 @@ fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() 
     assert_eq!(node.take_zero_outcome(), Some(ZeroOutcome::Unchanged));
     (10..14).for_each(|counter| send(&mut node, true, counter));
     let Some(ZeroOutcome::Taken(reference)) = node.take_zero_outcome() else { panic!("not taken") };
-    assert_ne!(reference, Reference::default());
+    assert_ne!(reference, ReferenceErrors::default());
     assert_eq!(node.take_zero_outcome(), None);
 
     let mut again = started_node();
@@ -118,7 +118,7 @@ fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() 
     live(&mut again, 400);
     send(&mut again, false, 3);
     live(&mut again, 10);
-    assert_eq!(again.last_output().quality, Quality::Live);
+    assert_eq!(again.last_output().quality, OffsetQuality::Live);
     assert_eq!(again.last_output().offset, Some([Nanometres::ZERO; 3]));
 }
 
@@ -135,9 +135,9 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
         assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
         for _ in 0..450 {
             let codes = core::array::from_fn(|n| AdcCode(if n % 2 == 0 { 700 } else { 701 }));
-            node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
         }
-        assert_eq!(node.last_output().quality == Quality::Live, engages);
+        assert_eq!(node.last_output().quality == OffsetQuality::Live, engages);
     }
 }
 
@@ -149,7 +149,7 @@ fn after(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut No
         node.receive(line, &frames::encode_control(control, *counter)).ok();
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
-            node.tick(1, Input { codes: Some(&live_codes(700)), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
             node.service();
         }
     }
@@ -175,7 +175,7 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
         after(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
         assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
-        let quality = if is_available { Quality::Live } else { Quality::Fault };
+        let quality = if is_available { OffsetQuality::Live } else { OffsetQuality::Fault };
         assert_eq!(node.last_output().quality, quality);
     }
 }
@@ -189,7 +189,10 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
     let confirm = Control { confirm: true, ..Control::ENGAGED };
     let plain = Control::ENGAGED;
     after([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
-    assert_eq!((node.last_output().quality, node.last_output().offset), (Quality::Fault, None));
+    assert_eq!(
+        (node.last_output().quality, node.last_output().offset),
+        (OffsetQuality::Fault, None)
+    );
     let both = StateBits::OLDER_CALIBRATION.0 | StateBits::FOREIGN_MACHINE.0;
     assert_eq!(state(&node).0, both);
     for (held, left, answered) in [
@@ -198,7 +201,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
     ] {
         let received = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
-        node.receiver = Receiver::new();
+        node.receiver = CncReceiver::new();
         after(received.map(|frame| (Interface::Can, frame)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!(
@@ -206,7 +209,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
             (Some(answered), None)
         );
     }
-    assert_eq!(node.last_output().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -216,7 +219,10 @@ fn example_constants_are_never_live() {
     node.update_inhibition();
     let confirm = |n: u32| Control { confirm: n % 10 < 5, ..Control::ENGAGED };
     after((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
-    assert_eq!((node.last_output().quality, node.last_output().offset), (Quality::Fault, None));
+    assert_eq!(
+        (node.last_output().quality, node.last_output().offset),
+        (OffsetQuality::Fault, None)
+    );
     assert!(state(&node).contains(trueup_link::status::StateBits::EXAMPLE_CONSTANTS));
 }
 
@@ -225,7 +231,10 @@ fn a_damaged_board_is_never_live_and_reports_it() {
     let mut node = started_node();
     node.set_self_test_failed();
     after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
-    assert_eq!((node.last_output().quality, node.last_output().offset), (Quality::Fault, None));
+    assert_eq!(
+        (node.last_output().quality, node.last_output().offset),
+        (OffsetQuality::Fault, None)
+    );
     assert!(state(&node).contains(trueup_link::status::StateBits::SELF_TEST_FAILED));
 }
 
@@ -236,7 +245,7 @@ fn a_master_on_another_line_is_reported_and_has_no_effect() {
     let both =
         (0..100).flat_map(|n| [(Interface::Can, Control::ENGAGED), (Interface::Serial, zero(n))]);
     after(both, &mut node);
-    assert_eq!(node.last_output().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, OffsetQuality::Live);
     assert_eq!(node.take_zero_outcome(), None);
     assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER));
     after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
@@ -254,12 +263,12 @@ fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
         let noise = Frame::new(CONTROL_ID, &data).expect("eight bytes");
         assert_eq!(node.receive(Interface::Serial, &noise), Ok(None));
         for _ in 0..20 {
-            node.tick(1, Input { codes: Some(&live_codes(700)), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
             node.service();
         }
         assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
     }
-    assert_eq!(node.last_output().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -274,7 +283,10 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
                 for _ in 0..10 {
                     node.tick(
                         1,
-                        Input { codes: Some(&live_codes(700 + u16::from(n))), ..Input::default() },
+                        TickInput {
+                            codes: Some(&live_codes(700 + u16::from(n))),
+                            ..TickInput::default()
+                        },
                     );
                     node.service();
                 }
@@ -282,7 +294,7 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
         }
         assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER), "{lead}");
         assert!(!matches!(node.take_zero_outcome(), Some(ZeroOutcome::Taken(_))), "{lead}");
-        assert_ne!(node.last_output().quality, Quality::Live, "{lead}");
+        assert_ne!(node.last_output().quality, OffsetQuality::Live, "{lead}");
     }
 }
 
@@ -293,7 +305,7 @@ fn a_cnc_that_restarts_is_no_second_master() {
     for _ in 0..2 {
         after((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
         assert_eq!(state(&node).0, 0);
-        assert_eq!(node.last_output().quality, Quality::Live);
+        assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
 }
 
@@ -302,14 +314,14 @@ fn a_zero_that_is_refused_is_reported() {
     for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
         let mut node = started_node();
         after([(Interface::Can, control); 20], &mut node);
-        node.receiver = Receiver::new();
+        node.receiver = CncReceiver::new();
         for counter in 0..3 {
             let zero = Control { zero: true, ..control };
             node.receive(Interface::Can, &frames::encode_control(zero, counter)).expect("whole");
         }
         assert_eq!(node.take_zero_outcome(), Some(ZeroOutcome::Unchanged));
         let sent_frames = (0..100).filter_map(|_| {
-            node.tick(1, Input { codes: Some(&live_codes(700)), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
             node.service()
         });
         let codes: Vec<_> = sent_frames
@@ -336,9 +348,9 @@ fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and
                 counter = counter.wrapping_add(1);
             }
             if ms % 10 == 0 {
-                node.receive_supply(code(1_500));
+                node.receive_supply_code(code(1_500));
             }
-            node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
             node.service();
         }
         (node.state.elongation(), node.board_faults.contains(Fault::SupplyOff))
@@ -348,6 +360,6 @@ fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and
     // 700 codes are 85 µm, of which 2 % would be 1.7 µm; half a code is 61 nm.
     assert!((drifted.0 - before.0).abs() < 70, "{before:?} {drifted:?}");
     assert_eq!(run(&mut node, 5), (None, true));
-    assert!(node.last_output().flags.0 & Flags::SENSOR_FAULT.0 != 0);
+    assert!(node.last_output().flags.0 & OffsetFlags::SENSOR_FAULT.0 != 0);
     assert!(run(&mut node, 0).0.is_some(), "and it comes back");
 }

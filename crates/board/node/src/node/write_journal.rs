@@ -95,7 +95,7 @@ impl Node<'_> {
     /// Seconds since 1970; 0: the time was never set.
     pub(super) fn utc_s(&self) -> u32 {
         let Some((utc_s, at)) = self.log.utc else { return 0 };
-        utc_s.saturating_add(self.now.duration_since(at) / 1_000)
+        utc_s.saturating_add(self.now.duration_ms_since(at) / 1_000)
     }
 
     pub(super) fn set_utc_s(&mut self, utc_s: u32) {
@@ -104,7 +104,7 @@ impl Node<'_> {
 
     /// A calibration is stored for the next start. If it replaces one other than the example's while no CNC is
     /// received, the operator must confirm then.
-    pub(super) fn log_load(&mut self, crc: u32) {
+    pub(super) fn log_calibration_load(&mut self, crc: u32) {
         let running = self.running_crc();
         let replaces = running != 0 && running != crc && !self.has_example_constants();
         let write = self.new_write_record(WriteKind::Loaded, crc, self.log.loader);

@@ -7,7 +7,7 @@ use trueup_canopen::{
     sdo::{AbortCode, ObjectAccess as _, ObjectValue},
 };
 use trueup_core::{
-    bridge::Reference,
+    bridge::ReferenceErrors,
     calibration::MachineIdentity,
     units::{FineNanometres, Nanometres},
 };
@@ -26,7 +26,7 @@ fn named(machine: &'static str, board: [u32; 3]) -> Node<'static> {
     Node::new(calibration.into())
 }
 
-fn of(machine: &'static str, board: [u32; 3]) -> u32 {
+fn identity_crc(machine: &'static str, board: [u32; 3]) -> u32 {
     write_log::machine_identity_crc(&MachineIdentity {
         machine: machine.as_bytes(),
         serial: b"",
@@ -41,7 +41,7 @@ fn send_controls(node: &mut Node<'_>, control: Control, count: usize, counter: &
             .expect("in order");
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
-            node.tick(1, Input::default());
+            node.tick(1, TickInput::default());
             node.service();
         }
     }
@@ -54,7 +54,7 @@ fn requires_confirmation(node: &Node<'_>) -> bool {
 #[test]
 fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_boards() {
     const UNKNOWN_CHIP: [u32; 3] = [0; 3];
-    let gantry = Some(of("gantry", UNKNOWN_CHIP));
+    let gantry = Some(identity_crc("gantry", UNKNOWN_CHIP));
     for (machine, board, before, is_requested, is_named) in [
         ("gantry", UNKNOWN_CHIP, None, false, true),
         ("gantry", UNKNOWN_CHIP, gantry, false, false),
@@ -62,17 +62,18 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
         ("gantry", CHIP_ID, None, false, true),
         ("gantry", CHIP_ID, gantry, true, false),
         ("gantry", [7, 8, 1], None, true, false),
-        ("gantry", [7, 8, 1], Some(of("gantry", [7, 8, 1])), false, false),
+        ("gantry", [7, 8, 1], Some(identity_crc("gantry", [7, 8, 1])), false, false),
         // A calibration that names nothing belongs nowhere.
         ("", UNKNOWN_CHIP, None, false, false),
         ("", UNKNOWN_CHIP, gantry, false, false),
     ] {
         let mut node = named(machine, board);
         node.check_identity(before, CHIP_ID);
-        node.tick(1, Input::default());
+        node.tick(1, TickInput::default());
         assert_eq!(requires_confirmation(&node), is_requested, "{machine} {board:?} {before:?}");
         let write = node.take_pending_write();
-        let expected = is_named.then(|| (WriteKind::Named, of(machine, board), WriteOrigin::Board));
+        let expected =
+            is_named.then(|| (WriteKind::Named, identity_crc(machine, board), WriteOrigin::Board));
         assert_eq!(write.map(|write| (write.what, write.about, write.origin)), expected);
     }
 }
@@ -80,11 +81,14 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
 #[test]
 fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then_on() {
     let mut node = named("mill", [0; 3]);
-    node.check_identity(Some(of("gantry", [0; 3])), CHIP_ID);
+    node.check_identity(Some(identity_crc("gantry", [0; 3])), CHIP_ID);
     let mut counter = 0;
     send_controls(&mut node, Control::REFERENCED, 5, &mut counter);
     send_controls(&mut node, Control::ENGAGED, 30, &mut counter);
-    assert_eq!((node.last_output().quality, requires_confirmation(&node)), (Quality::Fault, true));
+    assert_eq!(
+        (node.last_output().quality, requires_confirmation(&node)),
+        (OffsetQuality::Fault, true)
+    );
     send_controls(&mut node, Control { confirm: true, ..Control::REFERENCED }, 5, &mut counter);
     assert!(!requires_confirmation(&node));
     let written = [(); 3].map(|()| {
@@ -95,7 +99,7 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
         written,
         [
             Some((WriteKind::Confirmed, question, WriteOrigin::Serial)),
-            Some((WriteKind::Named, of("mill", [0; 3]), WriteOrigin::Serial)),
+            Some((WriteKind::Named, identity_crc("mill", [0; 3]), WriteOrigin::Serial)),
             None
         ]
     );
@@ -143,7 +147,10 @@ fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_
     let load = node.take_received_calibration().expect("whole");
     node.finish_load(load, LoadOutcome::Stored);
     node.restore_reference_status(
-        ReferenceStatus::in_force(Reference { elongation: Nanometres(9), ..Reference::default() }),
+        ReferenceStatus::in_force(ReferenceErrors {
+            elongation: Nanometres(9),
+            ..ReferenceErrors::default()
+        }),
         None,
     );
     node.log.set_sender(Interface::Serial);
@@ -179,16 +186,19 @@ fn nothing_is_written_while_an_offset_is_followed_or_without_service() {
     use trueup_canopen::dictionary::EntryContent as O;
     let mut node = Node::new(sensor_only_calibration().into());
     node.restore_reference_status(
-        ReferenceStatus::in_force(Reference { elongation: Nanometres(9), ..Reference::default() }),
+        ReferenceStatus::in_force(ReferenceErrors {
+            elongation: Nanometres(9),
+            ..ReferenceErrors::default()
+        }),
         None,
     );
     let mut counter = 0;
     let service = Control { service: true, ..Control::REFERENCED };
     for (control, quality, may) in [
-        (Control::REFERENCED, Quality::Off, false),
-        (service, Quality::Live, false),
-        (Control { engage: true, ..service }, Quality::Off, false),
-        (service, Quality::Off, true),
+        (Control::REFERENCED, OffsetQuality::Off, false),
+        (service, OffsetQuality::Live, false),
+        (Control { engage: true, ..service }, OffsetQuality::Off, false),
+        (service, OffsetQuality::Off, true),
     ] {
         send_controls(&mut node, control, 5, &mut counter);
         node.last.quality = quality;
@@ -237,24 +247,30 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
             Err(AbortCode::DeviceState),
             "without {missing}"
         );
-        assert_eq!((node.reference(), node.take_zero_outcome()), (Reference::default(), None));
+        assert_eq!(
+            (node.reference(), node.take_zero_outcome()),
+            (ReferenceErrors::default(), None)
+        );
         let (what, nm) = offered[missing];
         node.write(what, nm.cast_unsigned()).expect("allowed");
         assert_eq!(
             (node.reference(), node.take_zero_outcome()),
-            (Reference::default(), None),
+            (ReferenceErrors::default(), None),
             "it waits"
         );
     }
     node.restore_reference_status(
-        ReferenceStatus::in_force(Reference { elongation: Nanometres(7), ..Reference::default() }),
+        ReferenceStatus::in_force(ReferenceErrors {
+            elongation: Nanometres(7),
+            ..ReferenceErrors::default()
+        }),
         None,
     );
     node.write(O::Forget, RESTORE_REFERENCE_SIGNATURE).expect("allowed");
     // It is offered, and until it is confirmed none is in force.
     let axes = [2_000, 500_000, -3].map(|nm| FineNanometres(nm * FineNanometres::PER_NANOMETRE));
-    let back = Reference { elongation: Nanometres(-1_000), axes };
-    assert_eq!((node.reference(), node.take_zero_outcome()), (Reference::default(), None));
+    let back = ReferenceErrors { elongation: Nanometres(-1_000), axes };
+    assert_eq!((node.reference(), node.take_zero_outcome()), (ReferenceErrors::default(), None));
     let offered = ReferenceStatus { is_offered: true, ..ReferenceStatus::in_force(back) };
     assert_eq!((node.take_reference_status(), node.take_reference_status()), (Some(offered), None));
     assert!(node.questions.contains(Fault::ReferenceOffered));

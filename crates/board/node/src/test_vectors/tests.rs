@@ -17,7 +17,7 @@ fn run(faults: bool) -> TestVectorRunner<'static> {
 #[test]
 fn the_numbers_are_marsaglias_and_the_checksum_is_that_of_fowler_noll_and_vo() {
     let mut random = XorShift32::new(0);
-    let first = [(); 4].map(|()| random.next());
+    let first = [(); 4].map(|()| random.next_u32());
     assert_eq!(first, [270_369, 67_634_689, 2_647_435_461, 307_599_695]);
     let mut run = run(false);
     assert_eq!(run.checksum(), 0xcbf2_9ce4_8422_2325);
@@ -29,12 +29,15 @@ fn the_numbers_are_marsaglias_and_the_checksum_is_that_of_fowler_noll_and_vo() {
 
 #[test]
 fn each_fault_has_every_other_phase_of_four_seconds_in_turn() {
-    assert_eq!(FAULT_CYCLE_VECTORS, 6 * 2 * 4_096, "six, with a phase before each");
-    for phase in 0..2 * FAULT_COUNT {
-        let expected =
-            if phase % 2 == 0 { InjectedFault::None } else { FAULT_SEQUENCE[phase as usize / 2] };
+    assert_eq!(VECTORS_PER_FAULT_CYCLE, 6 * 2 * 4_096, "six, with a phase before each");
+    for phase in 0..2 * INJECTED_FAULT_COUNT {
+        let expected = if phase % 2 == 0 {
+            InjectedFault::None
+        } else {
+            INJECTED_FAULT_SEQUENCE[phase as usize / 2]
+        };
         for ms in [0, 1, PHASE_MS / 2, PHASE_MS - 1] {
-            for round in [0, FAULT_CYCLE_VECTORS] {
+            for round in [0, VECTORS_PER_FAULT_CYCLE] {
                 assert_eq!(
                     InjectedFault::from_vector_index(round + phase * PHASE_MS + ms),
                     expected,
@@ -54,7 +57,7 @@ fn count(sent: &[Frame], id: u16) -> u32 {
 fn each_frame_comes_as_often_as_the_wire_has_it_but_for_those_that_a_fault_leaves_out() {
     for faults in [false, true] {
         let mut run = run(faults);
-        for phase in 0..2 * FAULT_COUNT {
+        for phase in 0..2 * INJECTED_FAULT_COUNT {
             let mut sent = Vec::new();
             for _ in 0..PHASE_MS {
                 run.draw_vector();
@@ -89,7 +92,7 @@ fn each_frame_comes_as_often_as_the_wire_has_it_but_for_those_that_a_fault_leave
 fn engage_is_let_go_in_its_fault_alone_and_zero_is_asked_for_200_ms_at_the_begin_of_each_phase() {
     for faults in [false, true] {
         let mut run = run(faults);
-        for number in 1..FAULT_CYCLE_VECTORS {
+        for number in 1..VECTORS_PER_FAULT_CYCLE {
             run.draw_vector();
             let control = run.sent.iter().find_map(|frame| frames::decode_control(frame).ok());
             let Some(control) = control else { continue };
@@ -108,7 +111,7 @@ fn of_a_hundred_and_twenty_eight_frames_one_is_damaged_in_one_bit_and_without_fa
     for faults in [false, true] {
         let mut run = run(faults);
         let (mut all, mut damaged) = (0_u32, 0_u32);
-        for _ in 0..FAULT_CYCLE_VECTORS {
+        for _ in 0..VECTORS_PER_FAULT_CYCLE {
             run.draw_vector();
             for frame in &run.sent {
                 all += 1;
@@ -131,7 +134,7 @@ fn an_axis_walks_the_way_that_it_says_and_jumps_now_and_then() {
     let mut run = run(false);
     let mut before = [None; 3];
     let (mut walks, mut jumps) = (0_u32, 0_u32);
-    for _ in 0..FAULT_CYCLE_VECTORS {
+    for _ in 0..VECTORS_PER_FAULT_CYCLE {
         run.draw_vector();
         for (number, axis) in LinearAxis::ALL.into_iter().enumerate() {
             let received =
@@ -155,7 +158,7 @@ fn an_axis_walks_the_way_that_it_says_and_jumps_now_and_then() {
 fn thermometers_warm_by_a_tenth_of_a_kelvin_at_most_within_their_range() {
     let mut run = run(true);
     let mut before: Option<RawTemperatures> = None;
-    for number in 1..FAULT_CYCLE_VECTORS {
+    for number in 1..VECTORS_PER_FAULT_CYCLE {
         run.draw_vector();
         let is_missing = InjectedFault::from_vector_index(number) == InjectedFault::NoTemperatures;
         if is_missing {

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use crate::rig::{Kind, Part, Rig, calibration};
-use trueup_core::cnc::{Flags, Quality};
+use trueup_core::cnc::{OffsetFlags, OffsetQuality};
 use trueup_node::node::Node;
 use trueup_store::reference::ReferenceStatus;
 
@@ -72,11 +72,11 @@ fn resets(count: u32, seed: u64) {
         twin.live();
         rig.live();
         cnc.live(&mut rig);
-        let has_arrived = rig.last.quality != Quality::Off
+        let has_arrived = rig.last.quality != OffsetQuality::Off
             && rig.last.quality == twin.last.quality
             && rig.last.offset.is_some()
-            && !rig.last.flags.contains(Flags::SLEWING)
-            && !twin.last.flags.contains(Flags::SLEWING)
+            && !rig.last.flags.contains(OffsetFlags::SLEWING)
+            && !twin.last.flags.contains(OffsetFlags::SLEWING)
             && twin.last.offset.is_some();
         if has_arrived {
             compared += 1;

@@ -65,7 +65,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         | Fault::ReferenceOffered
         | Fault::CalibrationChanged => rig.node.require_confirmation(fault),
         Fault::ExampleConstants => {
-            let faults = Faults::default().with_if(true, fault);
+            let faults = Faults::default().with_fault_if(true, fault);
             rig.node = Node::new(Configuration { faults, ..calibration().into() });
         }
         Fault::SecondMaster => {

@@ -1,7 +1,7 @@
 //! One wire is flooded while the CNC is on the other: its offsets arrive as if nothing were.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 use trueup_link::{
     frame::Frame,
     layout::SDO_REQUEST_ID,
@@ -80,7 +80,7 @@ fn arrives(flood: Flood, over: Interface, ms: u32) -> u32 {
         }
         rig.live();
         twin.live();
-        let is_live = rig.last.quality == Quality::Live;
+        let is_live = rig.last.quality == OffsetQuality::Live;
         right += u32::from(is_live && rig.last.offset == twin.last.offset);
     }
     println!("{flood:?} over {over:?}: {right} of {ms} offsets");

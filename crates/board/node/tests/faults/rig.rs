@@ -5,16 +5,16 @@ use std::{f64::consts::TAU, sync::OnceLock};
 
 use trueup_canopen::emergency::{Fault, decode};
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     calibration::{AxisModel, AxisThermalModel, Calibration, MachineIdentity},
-    cnc::{AxisPosition, Control, LinearAxis, Output, Spindle, TravelDirection},
+    cnc::{AxisPosition, Control, LinearAxis, Output, SpindleState, TravelDirection},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     kinematics::Kinematics,
     lag::SmoothingFactor,
     limits::Limits,
     pitch_table::PitchErrorTable,
     thermometer::{RawReading, Thermometer},
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::Interval,
     units::{AdcCode, Nanometres, Position, Rpm, Temperature},
 };
@@ -82,7 +82,7 @@ pub fn calibration() -> Calibration<'static> {
     Calibration {
         thermometers,
         spindle: spindle.model(),
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
         axes: [x, AxisModel::default(), AxisModel::default()],
         straightness: Default::default(),
         squareness: Default::default(),
@@ -392,7 +392,7 @@ impl Rig {
             };
             let counter = self.next(1);
             self.receive(&frames::encode_spindle(
-                Spindle { speed: Rpm(speed), load_n: 0 },
+                SpindleState { speed: Rpm(speed), load_n: 0 },
                 counter,
             ));
         }
@@ -434,18 +434,21 @@ impl Rig {
         raw[spindle] = self.raw(Part::SpindleThermometer, spindle_c);
         raw[axis] = self.raw(Part::AxisThermometer, axis_c);
         if codes.is_some() {
-            let input =
-                Input { codes: codes.as_ref(), temperatures: Some(&raw), ..Input::default() };
+            let input = TickInput {
+                codes: codes.as_ref(),
+                temperatures: Some(&raw),
+                ..TickInput::default()
+            };
             self.tick(1, input);
         }
         if self.ms.is_multiple_of(10)
             && let Some(behind_ms) = self.node.catch_up(10)
         {
-            self.tick(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
+            self.tick(behind_ms, TickInput { temperatures: Some(&raw), ..TickInput::default() });
         }
     }
 
-    fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) {
+    fn tick(&mut self, elapsed_ms: u32, input: TickInput<'_>) {
         self.node.tick(elapsed_ms, input);
         self.last = *self.node.last_output();
         let frames = self.node.service();

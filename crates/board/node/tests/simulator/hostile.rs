@@ -6,8 +6,11 @@ use std::{collections::BTreeMap, env};
 
 use crc::{CRC_32_AUTOSAR, Crc};
 use trueup_core::{
-    bridge::Input,
-    cnc::{AxisPosition, Control, LinearAxis, Quality, Rotary, Spindle, TravelDirection},
+    bridge::TickInput,
+    cnc::{
+        AxisPosition, Control, LinearAxis, OffsetQuality, RotaryAxisAngles, SpindleState,
+        TravelDirection,
+    },
     dimensions::CODES_PER_TICK,
     learned::{ChangeRequest, LearnedLimits, calibration_id},
     thermometer::RawReading,
@@ -49,7 +52,7 @@ fn hostile<'s>(random: &mut XorShift32, seeds: &[Vec<u8>], slot: &'s mut Slot) -
         let word = 8 + (at - 8) / 4 * 4;
         match random.next_below(4) {
             0 => blob[at] ^= 1 << random.next_below(8),
-            1 => blob[at] = random.next() as u8,
+            1 => blob[at] = random.next_u32() as u8,
             // Words at the ends of their range, and others.
             2 => {
                 let ends = [0, 1, -1, i32::MAX, i32::MIN, 1 << 20, -(1 << 20), 255];
@@ -57,7 +60,7 @@ fn hostile<'s>(random: &mut XorShift32, seeds: &[Vec<u8>], slot: &'s mut Slot) -
                 blob[word..word + 4].copy_from_slice(&end.to_le_bytes());
             }
             _ => {
-                let any = random.next() >> random.next_below(32);
+                let any = random.next_u32() >> random.next_below(32);
                 blob[word..word + 4].copy_from_slice(&any.to_le_bytes());
             }
         }
@@ -83,19 +86,21 @@ fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> b
     for ms in 0..LIFE_MS {
         if ms % 10 == 0 {
             let counter = ms / 10;
-            let any = random.next() as i32;
+            let any = random.next_u32() as i32;
             let calibration = calibration_id(calibration_crc(blob));
             let learned =
                 ChangeRequest { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
             let control = Control { engage: counter >= 4, learned, ..Control::REFERENCED };
             let _ = node.receive(Interface::Can, &frames::encode_control(control, counter));
-            let spindle = Spindle { speed: Rpm(any as u16), load_n: any as i16 };
+            let spindle = SpindleState { speed: Rpm(any as u16), load_n: any as i16 };
             let _ = node.receive(Interface::Can, &frames::encode_spindle(spindle, counter));
             let angles = [any / 16, any / 32].map(MicroDegrees);
-            let _ =
-                node.receive(Interface::Can, &frames::encode_rotary(Rotary { angles }, counter));
+            let _ = node.receive(
+                Interface::Can,
+                &frames::encode_rotary(RotaryAxisAngles { angles }, counter),
+            );
             for axis in LinearAxis::ALL {
-                let position = Position(random.next() as i32 / 2);
+                let position = Position(random.next_u32() as i32 / 2);
                 let at = AxisPosition { axis, position, direction: TravelDirection::Positive };
                 let _ = node.receive(Interface::Can, &frames::encode_position(at, counter));
             }
@@ -103,11 +108,11 @@ fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> b
         let codes: [AdcCode; CODES_PER_TICK] = core::array::from_fn(|_| {
             AdcCode((level + random.next_symmetric(3)).clamp(0, 4_095) as u16)
         });
-        let raw = [RawReading(random.next() as i32 >> 16); 8];
+        let raw = [RawReading(random.next_u32() as i32 >> 16); 8];
         let temperatures = (ms % 10 == 5).then_some(&raw);
-        node.tick(1, Input { codes: Some(&codes), speed: None, temperatures });
+        node.tick(1, TickInput { codes: Some(&codes), speed: None, temperatures });
         let output = node.last_output();
-        was_on |= output.quality == Quality::Live;
+        was_on |= output.quality == OffsetQuality::Live;
         let Some(offset) = output.offset else {
             before = [0; 3];
             continue;

@@ -3,12 +3,12 @@
 
 use trueup_core::{
     calibration::{AxisModel, Calibration, MachineIdentity},
-    cnc::{Control, Output, Spindle},
+    cnc::{Control, Output, SpindleState},
     dimensions::CHANNEL_COUNT,
     kinematics::Kinematics,
     limits::Limits,
     thermometer::Thermometer,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     units::{Nanometres, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
@@ -50,7 +50,7 @@ pub fn calibration(table: usize) -> Calibration<'static> {
     Calibration {
         thermometers,
         spindle: spindle.model(),
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
         axes: [
             AxisModel {
                 pitch: Some(pitch(table)),
@@ -166,7 +166,7 @@ impl Cnc {
         let counter = self.counters[1];
         self.counters[1] = counter.wrapping_add(1);
         frames::encode_spindle(
-            Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 },
+            SpindleState { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 },
             counter,
         )
     }

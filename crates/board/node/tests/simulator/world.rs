@@ -5,8 +5,8 @@
 //! CNC is written from the README.
 
 use trueup_core::{
-    bridge::{Input, Reference},
-    cnc::{CncMessage, Control, Output, Quality},
+    bridge::{ReferenceErrors, TickInput},
+    cnc::{CncMessage, Control, OffsetQuality, Output},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
@@ -19,7 +19,7 @@ use trueup_node::{
 };
 use trueup_store::{
     reference::ReferenceStatus,
-    retained::{self, COPY_SIZE, RetainedCopies},
+    retained::{self, RETAINED_COPY_SIZE, RetainedCopies},
 };
 
 mod judge;
@@ -91,7 +91,7 @@ pub struct Seen {
 /// The reference that `Zero` has taken last, as the machine was.
 #[derive(Clone, Copy, Debug)]
 struct Zeroed {
-    reference: Reference,
+    reference: ReferenceErrors,
     /// Growth and error of X in nm; `None`: a fall-back was in use.
     truth_nm: Option<[f64; 2]>,
 }
@@ -145,11 +145,11 @@ impl World {
             seed,
             random,
             node: Node::new(calibration(0).into()),
-            ram: Box::new([[0; COPY_SIZE]; 2]),
+            ram: Box::new([[0; RETAINED_COPY_SIZE]; 2]),
             spindle: GrowingSpindle { heat: 0.0, runs: true },
             axis: Axis::default(),
             table: 0,
-            zeroed: [Zeroed { reference: Reference::default(), truth_nm: Some([0.0; 2]) }; 2],
+            zeroed: [Zeroed { reference: ReferenceErrors::default(), truth_nm: Some([0.0; 2]) }; 2],
             block_ms: 0,
             temperatures_ms: 0,
             control_ms: 0,
@@ -220,7 +220,7 @@ impl World {
         self.fault_ms = 200 + self.random.next_below(if is_well { 6_000 } else { 9_000 });
         self.began = self.seen.ticks;
         self.spindle.runs = !self.chance(4);
-        let drawn = self.random.next() >> 8;
+        let drawn = self.random.next_u32() >> 8;
         self.axis.turn(drawn);
         self.cnc.is_engage_requested = self.fault != WorldFault::CncLetsGo;
     }
@@ -231,7 +231,7 @@ impl World {
         if cut {
             self.seen.power_cuts += 1;
             for byte in self.ram.iter_mut().flatten() {
-                *byte = self.random.next().to_le_bytes()[1];
+                *byte = self.random.next_u32().to_le_bytes()[1];
             }
         }
         // A calibration that was loaded counts from the next start; a reference belongs to its own.
@@ -320,13 +320,13 @@ impl World {
     }
 
     /// Remembers what a `Zero` has taken, if one has.
-    fn note_zero(&mut self, before: Reference) {
+    fn note_zero(&mut self, before: ReferenceErrors) {
         let reference = self.node.reference();
         if reference != before {
             self.seen.zeros += 1;
             (self.joined, self.zero_tick) = (None, self.seen.ticks);
             // What was just broken may still be in the filter.
-            let is_live = self.node.last_output().quality == Quality::Live
+            let is_live = self.node.last_output().quality == OffsetQuality::Live
                 && self.fault == WorldFault::None
                 && self.lasts_ms() > 500;
             let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
@@ -383,7 +383,7 @@ impl World {
         if has_block {
             let temperatures = phase == 5 || self.fault == WorldFault::FewBlocks;
             let temperatures = temperatures.then_some(&raw);
-            self.one(1, Input { codes: Some(&codes), speed: None, temperatures });
+            self.one(1, TickInput { codes: Some(&codes), speed: None, temperatures });
         } else {
             self.untold_ms += 1;
         }
@@ -391,7 +391,7 @@ impl World {
             && let Some(behind_ms) = self.node.catch_up(10)
         {
             self.untold_ms = 0;
-            self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
+            self.one(behind_ms, TickInput { temperatures: Some(&raw), ..TickInput::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
             retained::save(&mut self.ram, &self.node.retained_state(), None);
@@ -403,7 +403,7 @@ impl World {
         assert!(step <= SLEW_NM_PER_MS + WIRE_NM, "the CNC steps by {step}: {}", self.place());
     }
 
-    fn one(&mut self, elapsed_ms: u32, input: Input<'_>) {
+    fn one(&mut self, elapsed_ms: u32, input: TickInput<'_>) {
         if input.codes.is_some() {
             self.block_ms = 0;
         }

@@ -3,7 +3,7 @@
 use trueup_core::{
     calibration::{ElongationSource, SpindleModel, SpindleTemperatureModel, SpindleWarmupModel},
     lag::SmoothingFactor,
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     thermal::{LawSegment, ThermalExpansionLaw},
     units::{FineNanometres, Nanometres, Reading, Temperature},
     warmup::WarmupModel,
@@ -33,7 +33,7 @@ impl KnownSpindle {
             sensor: SensorLaw {
                 k0: Nanometres(0),
                 zero: Reading((self.zero_code * 1024.0) as i32),
-                slope: Slope((self.nm_per_code / 1024.0 * 2_f64.powi(28)).round() as i32),
+                slope: SensorSlope((self.nm_per_code / 1024.0 * 2_f64.powi(28)).round() as i32),
             },
             temperature: Some(SpindleTemperatureModel {
                 channel: self.channel,

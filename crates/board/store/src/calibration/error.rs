@@ -1,6 +1,6 @@
 //! Why there is no blob, or no calibration in one.
 
-use trueup_core::tool_direction::Direction;
+use trueup_core::tool_direction::ToolDirection;
 
 use super::format::{
     CRC_SIZE, FIXED_PART_SIZE, MAGIC, MAX_BLOB_SIZE, MAX_OFFSET_NM, SCHEMA_VERSION,
@@ -9,7 +9,7 @@ use super::format::{
 /// Why there is no blob: the calibration has more in it than a board can store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{bytes} bytes do not fit the board's {MAX_BLOB_SIZE}")]
-pub struct TooLarge {
+pub struct CalibrationTooLarge {
     /// Bytes that it would have.
     pub bytes: usize,
 }
@@ -51,7 +51,7 @@ pub enum BlobError {
         computed: u32,
     },
     /// The tool direction is not a unit vector.
-    #[error("tool direction {found:?} at {offset} has not the length 1 ({one})", one = Direction::ONE)]
+    #[error("tool direction {found:?} at {offset} has not the length 1 ({one})", one = ToolDirection::ONE)]
     NotUnit {
         /// Offset of its first component.
         offset: usize,

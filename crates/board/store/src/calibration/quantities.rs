@@ -9,11 +9,11 @@ use trueup_core::{
     kinematics::RotaryAxis,
     lag::SmoothingFactor,
     pitch_table::PitchErrorTable,
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     thermal::ThermalExpansionLaw,
     thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN,
     thermometer::Thermometer,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::Interval,
     units::{FineNanometres, Nanometres, Position, Reading, Temperature},
     warmup::WarmupModel,
@@ -29,7 +29,7 @@ use super::{
 
 /// How far the square of the tool direction's length may be from 1, in 2⁻⁶⁰: 2⁻¹⁹. The length is
 /// then right to 10⁻⁶, 1 nm of a millimetre; rounding to 2⁻³⁰ alone makes 2·10⁻⁹.
-const UNIT_LENGTH_TOLERANCE: u64 = 1 << 41;
+const SQUARED_LENGTH_TOLERANCE: u64 = 1 << 41;
 
 numbers! {
     Nanometres: i32,
@@ -37,12 +37,12 @@ numbers! {
     Position: i32,
     Temperature: i32,
     Reading: i32,
-    Slope: i32,
+    SensorSlope: i32,
     Gradient: i32,
     SmoothingFactor: u32,
 }
 
-fields!(SensorLaw { k0: Nanometres, zero: Reading, slope: Slope });
+fields!(SensorLaw { k0: Nanometres, zero: Reading, slope: SensorSlope });
 
 fields!(WarmupModel {
     lag_ms: u32,
@@ -159,7 +159,7 @@ impl<'b> Field<'b> for Text<'b> {
     }
 }
 
-impl<'b> Field<'b> for Direction {
+impl<'b> Field<'b> for ToolDirection {
     const SIZE: usize = 12;
 
     fn write(&self, to: &mut Writer<'_>) {
@@ -167,13 +167,13 @@ impl<'b> Field<'b> for Direction {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        const ONE_SQUARED: u64 = 1 << (2 * Direction::FRACTION_BITS);
+        const UNIT_SQUARED_LENGTH: u64 = 1 << (2 * ToolDirection::FRACTION_BITS);
         let offset = from.at;
         let components: [i32; 3] = Field::read(from);
         let squares =
             components.map(|component| u64::from(component.unsigned_abs()).saturating_pow(2));
         let length_squared = squares.into_iter().fold(0, u64::saturating_add);
-        if length_squared.abs_diff(ONE_SQUARED) > UNIT_LENGTH_TOLERANCE {
+        if length_squared.abs_diff(UNIT_SQUARED_LENGTH) > SQUARED_LENGTH_TOLERANCE {
             from.reject(BlobError::NotUnit { offset, found: components });
         }
         Self(components)

@@ -8,7 +8,9 @@ use trueup_core::{
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch_table::PitchErrorTable,
-    term::{self, ConditionLevels, Effect, Factor, SpeedExponent, Target, Term, Tilt, ToolTable},
+    term::{
+        self, CategoryFactor, ConditionLevels, Effect, SpeedExponent, Target, Term, Tilt, ToolTable,
+    },
     travel::Interval,
     units::{FineNanometres, Position, Temperature},
     volumetric_error::VolumetricErrorModel,
@@ -51,9 +53,9 @@ impl<'b> Field<'b> for TermTable<'b> {
         }
         if let Some(it) = volume {
             to.write_at(place, |to| {
-                to.write_bytes(&[volume::TERM_KIND, 0, 0, 0]);
+                to.write_bytes(&[volume::VOLUMETRIC_TERM_KIND, 0, 0, 0]);
                 FineNanometres::ZERO.write(to);
-                volume::write_volume(it, to);
+                volume::write_volumetric_errors(it, to);
             });
         }
     }
@@ -66,7 +68,7 @@ impl<'b> Field<'b> for TermTable<'b> {
         let mut all = Self([None; MAX_TERMS], None);
         // The volume is the last.
         let (terms, last) = match records.split_last() {
-            Some(([volume::TERM_KIND, ..], terms)) => (terms, true),
+            Some(([volume::VOLUMETRIC_TERM_KIND, ..], terms)) => (terms, true),
             _ => (records, false),
         };
         if terms.len() > MAX_TERMS {
@@ -78,7 +80,7 @@ impl<'b> Field<'b> for TermTable<'b> {
             place = place.saturating_add(TERM_SIZE);
         }
         if last {
-            all.1 = from.read_at(place.saturating_add(HEADER_SIZE), volume::read_volume);
+            all.1 = from.read_at(place.saturating_add(HEADER_SIZE), volume::read_volumetric_errors);
         }
         all
     }
@@ -311,7 +313,7 @@ impl<'b> Field<'b> for ToolTable<'b> {
             levels,
             other,
             shift: from.term_byte(SHIFT_OFFSET),
-            times: Factor::from_number(times).unwrap_or_default(),
+            times: CategoryFactor::from_number(times).unwrap_or_default(),
         };
         let is_tool = |(number, _)| number <= u32::from(u16::MAX);
         let is_rising = read.tools().is_sorted_by(|(a, _), (b, _)| a < b);
@@ -349,7 +351,7 @@ impl<'b> Field<'b> for ConditionLevels {
             on,
             shift: from.term_byte(SHIFT_OFFSET),
             smoothing,
-            times: Factor::from_number(times).unwrap_or_default(),
+            times: CategoryFactor::from_number(times).unwrap_or_default(),
         }
     }
 }
@@ -359,7 +361,7 @@ fn read_factor(from: &mut Reader<'_>) -> [u8; 2] {
     let offset = from.at;
     let word = u32::read(from);
     let [times, default, rest @ ..] = word.to_le_bytes();
-    if Factor::from_number(times).is_none() || default > 1 || rest != [0; 2] {
+    if CategoryFactor::from_number(times).is_none() || default > 1 || rest != [0; 2] {
         from.reject(BlobError::Value { offset, found: word });
     }
     [times, default]

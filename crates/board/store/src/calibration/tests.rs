@@ -21,11 +21,11 @@ use trueup_core::{
     learned::LearnedLimits,
     limits::Limits,
     pitch_table::{Beam, PitchErrorTable},
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     term::{Effect, SpeedExponent, Target, Term, Tilt},
     thermal::{LawSegment, ThermalExpansionLaw},
     thermometer::Thermometer,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::{self, Interval},
     units::{FineNanometres, Nanometres, Position, Reading, Temperature},
     warmup,
@@ -129,7 +129,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             sensor: SensorLaw {
                 k0: Nanometres(-1_250),
                 zero: Reading(645_120),
-                slope: Slope(31_998_000),
+                slope: SensorSlope(31_998_000),
             },
             temperature: Some(SpindleTemperatureModel {
                 channel: 5,
@@ -140,7 +140,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             warmup: Some(SpindleWarmupModel { law, power: curve }),
         },
         kinematics: Kinematics {
-            zero: Direction::DOWN,
+            zero: ToolDirection::DOWN,
             axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)],
         },
         axes: [
@@ -265,7 +265,7 @@ fn the_fields_lie_where_the_table_says() {
         (8, 200_000),
         (20, 20_000),
         (28, 2_000),
-        (40, -Direction::ONE),
+        (40, -ToolDirection::ONE),
         (44, 0x0103),
         (48, 0x0003_0201),
         (56, 645_120),

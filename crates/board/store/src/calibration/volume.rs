@@ -20,19 +20,21 @@ use super::{
 };
 
 /// Its kind among the terms.
-pub(super) const TERM_KIND: u8 = 18;
+pub(super) const VOLUMETRIC_TERM_KIND: u8 = 18;
 
 fields!(AngularErrorCurve<'b> { slope: Gradient, curve: Curve<'b> });
 fields!(AngularErrors<'b> { point: [Position; 3], about: [AngularErrorCurve<'b>; 3] });
 
 /// Writes the reference to the record, and the record with its curves.
-pub(super) fn write_volume(volume: &VolumetricErrorModel<'_>, to: &mut Writer<'_>) {
+pub(super) fn write_volumetric_errors(volume: &VolumetricErrorModel<'_>, to: &mut Writer<'_>) {
     let place = to.write_table(&[[0_u8; VolumetricErrorModel::SIZE]]);
     to.write_at(place, |to| volume.write(to));
 }
 
 /// Reads the record that the next reference names.
-pub(super) fn read_volume<'b>(from: &mut Reader<'b>) -> Option<VolumetricErrorModel<'b>> {
+pub(super) fn read_volumetric_errors<'b>(
+    from: &mut Reader<'b>,
+) -> Option<VolumetricErrorModel<'b>> {
     let offset = from.at;
     let records = from.read_records::<{ VolumetricErrorModel::SIZE }>();
     if records.len() != 1 {

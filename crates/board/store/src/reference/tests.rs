@@ -11,9 +11,9 @@ pub(super) const OURS: u32 = 0xC0FF_EE01;
 const OTHER: u32 = 0x0BAD_CAFE;
 
 /// References that differ in every byte.
-pub(super) fn reference(n: u32) -> Reference {
+pub(super) fn reference(n: u32) -> ReferenceErrors {
     let value = |k: u32| (n * 0x0101_0101).wrapping_mul(2 * k + 1) as i32;
-    Reference {
+    ReferenceErrors {
         elongation: Nanometres(value(1)),
         axes: [FineNanometres(value(2)), FineNanometres(value(3)), FineNanometres(value(4))],
     }
@@ -28,7 +28,7 @@ pub(super) fn open(flash: &Flash, calibration: u32) -> (ReferenceStore<Flash>, S
     ReferenceStore::open(flash.with_power_restored(), calibration)
 }
 
-fn loaded(flash: &Flash) -> Option<Reference> {
+fn loaded(flash: &Flash) -> Option<ReferenceErrors> {
     open(flash, OURS).1.standing.map(|(_, standing)| standing.reference)
 }
 
@@ -38,14 +38,14 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
         sequence: 2,
         calibration: 0x1122_3344,
         standing: ReferenceStatus {
-            reference: Reference {
+            reference: ReferenceErrors {
                 elongation: Nanometres(62_805),
                 axes: [FineNanometres(-1), FineNanometres(0), FineNanometres(256)],
             },
             is_offered: false,
             is_changed: true,
         },
-        supply: SupplyLevel(0x5DE0),
+        supply: InternalReferenceLevel(0x5DE0),
     };
     let bytes = record.encode();
     assert_eq!(
@@ -65,14 +65,14 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
 #[test]
 fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
     let (mut log, found) = open(&Flash::erased(), OURS);
-    assert_eq!(found.supply, SupplyLevel(0));
-    log.set_supply(SupplyLevel(24_001));
+    assert_eq!(found.supply, InternalReferenceLevel(0));
+    log.set_supply_basis(InternalReferenceLevel(24_001));
     // More than the flash holds: records move, and after a start what was found goes on.
     for n in 1..=4 * SLOTS {
         log.append(held(n)).unwrap();
         log.erase_spare_half().unwrap();
         let (reopened, found) = open(&log.log.flash, OURS);
-        assert_eq!(found.supply, SupplyLevel(24_001), "{n}");
+        assert_eq!(found.supply, InternalReferenceLevel(24_001), "{n}");
         log = reopened;
     }
 }

@@ -21,7 +21,7 @@ use super::{
     two_stage_least_squares::{TwoStageLeastSquares, compute_row_spacings},
 };
 use crate::{
-    BadInput, Location,
+    InputFileError, Location,
     effect::Quantity,
     file::Machine,
     keys::reader::is_temperature_column,
@@ -35,7 +35,7 @@ const MIN_OFFSET_UM: f64 = 0.005;
 /// More rows than these make the estimate no better than the model is: of more, each n-th is used.
 const MAX_ROWS: usize = 20_000;
 /// Lags that the model may lack, as shares of the longest run.
-const CANDIDATE_LAG_SHARES: [f64; 3] = [0.01, 0.05, 0.2];
+const CANDIDATE_LAG_FRACTIONS: [f64; 3] = [0.01, 0.05, 0.2];
 /// Thermometers that the error may depend on.
 const MAX_TEMPERATURE_COVARIATES: usize = 8;
 
@@ -133,7 +133,7 @@ pub fn require_unit_factor(
     runs: &[UncompensatedRun<'_>],
     machine: Option<&Machine>,
     quantity: Quantity,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let rule = match estimate_application(runs, machine, quantity) {
         OffsetApplication::Nothing | OffsetApplication::Once(_) => return Ok(()),
         OffsetApplication::Unknown(_) if is_fully_compensated(runs, quantity) => return Ok(()),
@@ -149,7 +149,7 @@ pub fn require_unit_factor(
     };
     let applies = |run: &&UncompensatedRun<'_>| run.applied_offset_um(quantity).is_some();
     let path = runs.iter().find(applies).map_or_else(|| "".as_ref(), |run| run.path());
-    Err(BadInput::new(Location::start_of_file(path), rule))
+    Err(InputFileError::new(Location::start_of_file(path), rule))
 }
 
 /// Readings of two runs of one program, the second with the bridge engaged.
@@ -304,7 +304,7 @@ fn model_variants(machine: &Machine, quantity: Quantity, longest_s: f64) -> Vec<
             all.push(without);
         }
     }
-    for share in CANDIDATE_LAG_SHARES.into_iter().filter(|_| longest_s > 0.0) {
+    for share in CANDIDATE_LAG_FRACTIONS.into_iter().filter(|_| longest_s > 0.0) {
         let mut late = machine.clone();
         let grown = late.spindle.temperature.as_mut().map(|temperature| &mut temperature.lag_s);
         let expanded = axis.and_then(|axis| late.axes[axis].thermal.as_mut());

@@ -25,7 +25,7 @@ const FAULT_FACTORS: [f64; 4] = [-1.0, 0.0, 0.5, 2.0];
 impl FactorEstimate {
     /// Returns the factor of a fault that the interval holds, else the estimate.
     #[must_use]
-    pub fn most_likely_factor(&self) -> f64 {
+    pub fn fault_factor_or_estimate(&self) -> f64 {
         let is_held = |fault: &f64| self.ci95[0] <= *fault && *fault <= self.ci95[1];
         FAULT_FACTORS.into_iter().find(is_held).unwrap_or(self.value)
     }

@@ -20,7 +20,7 @@ use super::interval::FactorEstimate;
 const MIN_FIRST_STAGE_F: f64 = 10.0;
 /// The share that the scale of a gauge and the form of a model add to the interval (95 %): linear gauges keep 1 %, and
 /// of a lag that the model lacks 3 % were seen.
-const SYSTEMATIC_ERROR_SHARE: f64 = 0.03;
+const RELATIVE_SYSTEMATIC_UNCERTAINTY_95: f64 = 0.03;
 /// A column that lies in the others but for this share of its size is one of them.
 const COLLINEARITY_TOLERANCE: f64 = 1e-6;
 
@@ -61,15 +61,15 @@ impl TwoStageLeastSquares<'_> {
         let whitener = Whitener::new(noise, self.steps);
         let mut explained = OrthonormalBasis::default();
         for column in self.explained {
-            explained.add_column(whitener.apply(column));
+            explained.add_column(whitener.whiten(column));
         }
         let used = explained.0.len() + 1;
         let free = self.measured_um.len().checked_sub(used).filter(|free| *free > 0)? as f64;
-        let offset = explained.orthogonal_residual(whitener.apply(self.offset_um));
-        let measured = explained.orthogonal_residual(whitener.apply(self.measured_um));
+        let offset = explained.orthogonal_residual(whitener.whiten(self.offset_um));
+        let measured = explained.orthogonal_residual(whitener.whiten(self.measured_um));
         let mut instruments = OrthonormalBasis::default();
         for column in self.instruments {
-            let whole = whitener.apply(column);
+            let whole = whitener.whiten(column);
             let size = norm(&whole);
             let rest = explained.orthogonal_residual(whole);
             if norm(&rest) > COLLINEARITY_TOLERANCE * size {
@@ -89,7 +89,7 @@ impl TwoStageLeastSquares<'_> {
         let left = measured.iter().zip(&offset).map(|(um, offset)| um - value * offset);
         let left: Vec<f64> = left.collect();
         let by_noise = t_quantile(0.975, free) * (dot(&left, &left) / free / squares).sqrt();
-        let half = by_noise.hypot(SYSTEMATIC_ERROR_SHARE * value.abs().max(1.0));
+        let half = by_noise.hypot(RELATIVE_SYSTEMATIC_UNCERTAINTY_95 * value.abs().max(1.0));
         let factor = FactorEstimate { value, ci95: [value - half, value + half] };
         half.is_finite().then_some((factor, left, used))
     }

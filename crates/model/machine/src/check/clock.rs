@@ -18,7 +18,7 @@ use crate::{keys::reader::is_temperature_column, run_file::RunFile};
 
 /// Steps that make a record regular: at least as many, of which this share is within a tenth of the median.
 const MIN_REGULAR_STEPS: usize = 50;
-const MIN_REGULAR_SHARE: f64 = 0.95;
+const MIN_REGULAR_FRACTION: f64 = 0.95;
 const STEP_TOLERANCE: f64 = 0.1;
 /// From this many medians on a step is a pause …
 const MIN_PAUSE_RATIO: f64 = 20.0;
@@ -29,7 +29,7 @@ const DST_SHIFT_S: f64 = 3600.0;
 /// The longest step, in s, next to which an hour can be distinguished from a pause of the logger.
 const MAX_STEP_S: f64 = 600.0;
 /// Rows on each side of a step through which the lines are laid, and the fewest of them.
-const FIT_ROWS: usize = 12;
+const MAX_FIT_ROWS: usize = 12;
 const MIN_FIT_ROWS: usize = 5;
 /// A change is visible from this many standard errors on.
 const MIN_CHANGE_STANDARD_ERRORS: f64 = 5.0;
@@ -145,7 +145,7 @@ fn find_irregular_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
         .count();
     if sorted.len() < MIN_REGULAR_STEPS
         || median_s <= 0.0
-        || (near as f64) < MIN_REGULAR_SHARE * sorted.len() as f64
+        || (near as f64) < MIN_REGULAR_FRACTION * sorted.len() as f64
     {
         return None;
     }
@@ -179,8 +179,8 @@ fn is_clock_error(
     let votes = run.columns().iter().filter(|column| is_value(&column.name)).filter_map(|column| {
         let side =
             |rows: &[usize]| -> Vec<f64> { rows.iter().map(|row| column.values[*row]).collect() };
-        let before = side(&rows[(index + 1).saturating_sub(FIT_ROWS)..=index]);
-        let after = side(&rows[index + 1..rows.len().min(index + 1 + FIT_ROWS)]);
+        let before = side(&rows[(index + 1).saturating_sub(MAX_FIT_ROWS)..=index]);
+        let after = side(&rows[index + 1..rows.len().min(index + 1 + MAX_FIT_ROWS)]);
         let [before, after] = [StraightLine::fit(&before)?, StraightLine::fit(&after)?];
         let error = (before.end_error.powi(2) + after.end_error.powi(2)).sqrt();
         // In one row, and in as many rows as the clock says.

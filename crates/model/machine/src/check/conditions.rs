@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::{
-    compile::first_free_bit,
+    compile::first_free_condition_bit,
     file::Machine,
     inputs::ConditionInput,
     keys::reader::is_temperature_column,
@@ -24,7 +24,7 @@ pub fn suggest_conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<Strin
     let mut inputs = machine.and_then(|machine| machine.inputs.clone()).unwrap_or_default();
     let mut sentences = Vec::new();
     for column in run.columns().iter().filter(|column| is_user_column(&column.name)) {
-        let Some(levels) = discrete_levels(column) else { continue };
+        let Some(levels) = find_discrete_levels(column) else { continue };
         let name = &column.name;
         if inputs.conditions.contains_key(name) {
             continue;
@@ -35,7 +35,7 @@ pub fn suggest_conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<Strin
                 "{name} has {count} values: a board knows a category by the column tool, or by a column of 0 and 1 \
                  for each value"
             ));
-        } else if let Some(bit) = first_free_bit(&inputs) {
+        } else if let Some(bit) = first_free_condition_bit(&inputs) {
             sentences.push(format!(
                 "{name} is 0 or 1: `{name} = {{ kind = \"condition\", bit = {bit} }}` in [inputs] lets the CNC send \
                  it to the board"
@@ -54,7 +54,7 @@ fn is_user_column(name: &str) -> bool {
 }
 
 /// Returns the values of a column that has few; none of one that stands still.
-fn discrete_levels(column: &Column) -> Option<Vec<f64>> {
+fn find_discrete_levels(column: &Column) -> Option<Vec<f64>> {
     let there = || column.values.iter().copied().filter(|value| value.is_finite());
     let mut bits: BTreeSet<u64> = BTreeSet::new();
     for value in there() {

@@ -5,7 +5,7 @@ use crate::{
     effect::BoardTerm,
     file::{Machine, Term},
     sections::{ElongationSource, LinearAxis},
-    spline::spline_um,
+    spline::spline_value_um,
 };
 
 /// Two numbers for one thing, measured twice, differ by less than this share.
@@ -13,11 +13,11 @@ const MAX_RELATIVE_DIFFERENCE: f64 = 0.2;
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    warnings.extend(duplicate_terms(machine));
-    warnings.extend(duplicate_backlash(machine));
-    warnings.extend(duplicate_squareness(machine));
-    warnings.extend(duplicate_thermal_growth(machine));
-    warnings.extend(duplicate_angles(machine));
+    warnings.extend(duplicate_term_warnings(machine));
+    warnings.extend(duplicate_backlash_warnings(machine));
+    warnings.extend(duplicate_squareness_warnings(machine));
+    warnings.extend(duplicate_thermal_growth_warning(machine));
+    warnings.extend(duplicate_angle_warnings(machine));
     warnings
 }
 
@@ -30,7 +30,7 @@ fn are_nearly_equal(a: f64, b: f64) -> bool {
 }
 
 /// Returns two terms with the same cause, quantity and numbers.
-fn duplicate_terms(machine: &Machine) -> Vec<Warning> {
+fn duplicate_term_warnings(machine: &Machine) -> Vec<Warning> {
     let terms = machine.terms.iter().enumerate();
     let repeats = terms.filter_map(|(index, term)| {
         let before: &[Term] = machine.terms.get(..index)?;
@@ -44,7 +44,7 @@ fn duplicate_terms(machine: &Machine) -> Vec<Warning> {
 }
 
 /// Returns a `backlash` term next to a section that has the width already.
-fn duplicate_backlash(machine: &Machine) -> Vec<Warning> {
+fn duplicate_backlash_warnings(machine: &Machine) -> Vec<Warning> {
     let terms = machine.terms.iter().enumerate();
     let doubled = terms.filter_map(|(index, term)| {
         let axis = term.quantity.axis()?;
@@ -76,7 +76,7 @@ fn duplicate_backlash(machine: &Machine) -> Vec<Warning> {
 
 /// Returns a squareness next to a straightness curve of the same two axes that still contains it: its ends are as
 /// far apart as the squareness makes them.
-fn duplicate_squareness(machine: &Machine) -> Vec<Warning> {
+fn duplicate_squareness_warnings(machine: &Machine) -> Vec<Warning> {
     let lines = machine.squareness.iter();
     let doubled = lines.filter_map(|line| {
         let same = |curve: &&crate::sections::Straightness| {
@@ -84,7 +84,7 @@ fn duplicate_squareness(machine: &Machine) -> Vec<Warning> {
         };
         let curve = machine.straightness.iter().find(same)?;
         let [first, last] = curve.spline.range_mm()?;
-        let rise_um = spline_um(&curve.spline, last) - spline_um(&curve.spline, first);
+        let rise_um = spline_value_um(&curve.spline, last) - spline_value_um(&curve.spline, first);
         let line_um = line.um_per_m * (last - first) / 1000.0;
         are_nearly_equal(rise_um, line_um).then(|| {
             let what = format!(
@@ -100,7 +100,7 @@ fn duplicate_squareness(machine: &Machine) -> Vec<Warning> {
 
 /// Returns terms that have the error of a turn that stands under `[angular]` as well: the axis that turns, the one in error and
 /// the lever are the same.
-fn duplicate_angles(machine: &Machine) -> Vec<Warning> {
+fn duplicate_angle_warnings(machine: &Machine) -> Vec<Warning> {
     let volume = &machine.volume;
     let terms = machine.terms.iter().enumerate();
     let doubled = terms.filter_map(|(index, term)| {
@@ -132,7 +132,7 @@ fn duplicate_angles(machine: &Machine) -> Vec<Warning> {
 }
 
 /// Returns the growth of the spindle and a constant of the axis along it by the same thermometer.
-fn duplicate_thermal_growth(machine: &Machine) -> Option<Warning> {
+fn duplicate_thermal_growth_warning(machine: &Machine) -> Option<Warning> {
     let spindle = machine.spindle.temperature.as_ref();
     let spindle =
         spindle.filter(|_| machine.spindle.source == Some(ElongationSource::Temperature))?;
@@ -141,7 +141,7 @@ fn duplicate_thermal_growth(machine: &Machine) -> Option<Warning> {
         axes.filter(|axis| machine.tool_direction[axis.index()].abs() > 0.5).find(|axis| {
             let thermal = machine.axes[axis.index()].thermal.as_ref();
             let constant = |law: &crate::sections::ThermalLaw| {
-                law.mode.has_constant() && law.constant_um_per_c != 0.0
+                law.mode.has_constant_term() && law.constant_um_per_c != 0.0
             };
             thermal.is_some_and(|thermal| thermal.sensor == spindle.sensor && constant(thermal))
         })?;

@@ -4,7 +4,7 @@ use crate::{
     effect::{BoardTerm, Multiplier, Quantity, SpeedExponent, relative_heat_input},
     file::{Machine, Term},
     model::tool_growth_term,
-    sections::{Angle, LinearAxis, PitchErrorTable, ThermalLaw},
+    sections::{AngleProfile, LinearAxis, PitchErrorTable, ThermalLaw},
 };
 
 /// By how much a machine's temperature may differ from the one it is right at, in K: half of what lies
@@ -61,7 +61,7 @@ pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<Erro
             add(format!("term[{index}]"), um.map(|um| um + term.constant_um.abs()));
         }
     }
-    let along = elongation_share(machine, axis);
+    let along = elongation_fraction(machine, axis);
     let of_growth = |term: &Term| {
         let is_of_growth = term.quantity == Quantity::Elongation && along > 0.0;
         is_of_growth && term.effect.is_compensated() && machine.has_elongation()
@@ -109,8 +109,8 @@ fn max_volumetric_errors(machine: &Machine, axis: LinearAxis) -> Vec<(String, Op
         }
         let lever = LinearAxis::ALL[other(it.about.index())];
         let angle_urad = match &it.angle {
-            Angle::Curve(spline) => Some(max_abs(&spline.control_um)),
-            Angle::Line(urad_per_m) => {
+            AngleProfile::Curve(spline) => Some(max_abs(&spline.control_um)),
+            AngleProfile::Line(urad_per_m) => {
                 machine.axis_range_mm(it.along).map(|mm| max_linear_error_um(*urad_per_m, mm))
             }
         };
@@ -136,7 +136,7 @@ fn max_volumetric_errors(machine: &Machine, axis: LinearAxis) -> Vec<(String, Op
 }
 
 /// Returns the share of the growth that comes to lie along an axis: all of it where a head can turn the tool there.
-pub(super) fn elongation_share(machine: &Machine, axis: LinearAxis) -> f64 {
+pub(super) fn elongation_fraction(machine: &Machine, axis: LinearAxis) -> f64 {
     match machine.head_axes.is_empty() {
         true => machine.tool_direction[axis.index()].abs(),
         false => 1.0,
@@ -179,14 +179,14 @@ fn rated_rpm(machine: &Machine) -> Option<f64> {
 }
 
 fn max_thermal_error_um(thermal: &ThermalLaw, own_mm: Option<[f64; 2]>) -> Option<f64> {
-    let arm_m = match thermal.mode.has_position() {
+    let arm_m = match thermal.mode.has_position_term() {
         false => 0.0,
         true => {
             let arm = |mm: f64| (mm - thermal.origin_mm).abs() / 1000.0;
             own_mm.map(|[low, high]| arm(low).max(arm(high)))?
         }
     };
-    let constant = f64::from(u8::from(thermal.mode.has_constant()));
+    let constant = f64::from(u8::from(thermal.mode.has_constant_term()));
     let um = |constant_um: f64, slope_um_per_m: f64| {
         (constant * constant_um).abs() + (slope_um_per_m * arm_m).abs()
     };

@@ -3,7 +3,7 @@
 use super::warning::Warning;
 use crate::{
     file::{Machine, MachineKind},
-    sections::{Angle, LinearAxis},
+    sections::{AngleProfile, LinearAxis},
 };
 
 /// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
@@ -72,8 +72,10 @@ fn curve_range_warnings(machine: &Machine) -> Vec<Warning> {
     let curves =
         curves.map(|curve| (format!("straightness.{}", curve.name()), curve.along, &curve.spline));
     let angles = machine.volume.angular.iter().filter_map(|motion| match &motion.angle {
-        Angle::Curve(spline) => Some((format!("angular.{}", motion.name()), motion.along, spline)),
-        Angle::Line(_) => None,
+        AngleProfile::Curve(spline) => {
+            Some((format!("angular.{}", motion.name()), motion.along, spline))
+        }
+        AngleProfile::Line(_) => None,
     });
     curves
         .chain(angles)

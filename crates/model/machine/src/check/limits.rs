@@ -4,11 +4,11 @@ use super::{
     error_bounds::{self, ErrorBound, MAX_TEMPERATURE_DEVIATION_K},
     warning::Warning,
 };
-use crate::{envelope, file::Machine, location::BadInput, sections::LinearAxis};
+use crate::{envelope, file::Machine, location::InputFileError, sections::LinearAxis};
 
 /// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
 /// (field notes), at which a following error does not show.
-const MAX_SLEW_SHARE_OF_RAPID: f64 = 0.01;
+const MAX_SLEW_TO_RAPID_RATIO: f64 = 0.01;
 
 /// The rapid traverse of an axis that does not say its own, in mm/min: what a slow machine tool does.
 pub(super) const DEFAULT_RAPID_MM_PER_MIN: f64 = 10_000.0;
@@ -29,7 +29,7 @@ fn cancelling_terms_warning(machine: &Machine) -> Option<Warning> {
     match envelope::check_envelope(machine) {
         // Of a machine with [inputs] it is reported that no board can run it.
         Err(_) if machine.inputs.is_some() => None,
-        Err(BadInput { place, rule, help, .. }) => {
+        Err(InputFileError { place, rule, help, .. }) => {
             Some(Warning { place, what: rule, help: help.unwrap_or_default() })
         }
         Ok(()) => envelope::find_cancelling_terms(machine).map(|pair| {
@@ -49,7 +49,7 @@ fn cancelling_terms_warning(machine: &Machine) -> Option<Warning> {
 /// Returns the fastest slew that an axis of this rapid traverse does not notice, in µm/s.
 pub(super) fn max_unnoticed_slew_um_per_s(rapid_mm_per_min: f64) -> f64 {
     const UM_PER_S_PER_MM_PER_MIN: f64 = 1000.0 / 60.0;
-    rapid_mm_per_min * UM_PER_S_PER_MM_PER_MIN * MAX_SLEW_SHARE_OF_RAPID
+    rapid_mm_per_min * UM_PER_S_PER_MM_PER_MIN * MAX_SLEW_TO_RAPID_RATIO
 }
 
 fn slew_rate_warning(machine: &Machine) -> Option<Warning> {

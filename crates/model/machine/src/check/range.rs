@@ -17,7 +17,7 @@ use crate::{
     effect::BoardTerm,
     file::Machine,
     keys::range::{AXIS_SIGN_HINT, PlausibleRange, REVERSED_SIGN_HINT, SPINDLE_SIGN_HINT},
-    location::BadInput,
+    location::InputFileError,
     sections::{LinearAxis, PitchErrorTable},
 };
 use numeric_values::{KeyScope, NumericEntry};
@@ -52,12 +52,15 @@ impl ImplausibleValue {
 
 /// Returns all that is refused of these as one error; `None` where nothing is.
 #[must_use]
-pub fn combine_refused(findings: &[ImplausibleValue], accepted: &[String]) -> Option<BadInput> {
+pub fn combine_rejected_findings(
+    findings: &[ImplausibleValue],
+    accepted: &[String],
+) -> Option<InputFileError> {
     let refused = findings.iter().filter(|finding| finding.is_refused(accepted));
-    BadInput::combine(refused.map(|ImplausibleValue { key, warning, .. }| {
+    InputFileError::combine(refused.map(|ImplausibleValue { key, warning, .. }| {
         let Warning { place, what, help } = warning;
         let help = format!("{help}; if it is meant, add --accept {key}");
-        BadInput::new(place.clone(), what.clone()).with_help(help)
+        InputFileError::new(place.clone(), what.clone()).with_help(help)
     }))
 }
 
@@ -184,7 +187,7 @@ fn mean_reversal_um(pitch: &PitchErrorTable) -> Option<f64> {
 /// Returns a table of an axis's heat whose slope falls as it becomes warmer.
 fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<ImplausibleValue> {
     let thermal = machine.axes[axis.index()].thermal.as_ref()?;
-    let rows = thermal.table.as_ref().filter(|_| thermal.mode.has_position())?;
+    let rows = thermal.table.as_ref().filter(|_| thermal.mode.has_position_term())?;
     let (first, last) = (rows.first()?, rows.last()?);
     let by_c =
         (last.slope_um_per_m - first.slope_um_per_m) / (last.temperature_c - first.temperature_c);

@@ -19,7 +19,7 @@ use crate::{
 /// slope within a factor of two of it …
 const MAX_SLOPE_RATIO: f64 = 2.0;
 /// … and explains more than half of what was measured: noise does not follow a prediction.
-const MIN_EXPLAINED_SHARE: f64 = 0.5;
+const MIN_R_SQUARED: f64 = 0.5;
 
 /// Rows that a statement about a whole column needs: of three values in the wrong unit none is in the right
 /// one by chance.
@@ -158,7 +158,7 @@ fn outside_travel_warnings(run: &RunFile, machine: &Machine) -> Vec<Warning> {
 /// Returns the unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
 /// not.
 fn position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
-    const FULL_TRAVEL_SHARE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
+    const FULL_TRAVEL_RATIO_RANGE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
     let length = |[low, high]: [f64; 2]| high - low;
     let share = |mm_per_unit: f64| length(range) * mm_per_unit / length(travel_mm);
     let is_within = |mm_per_unit: f64| {
@@ -168,7 +168,7 @@ fn position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
     };
     let units = [(1e3, "m"), (25.4, "inches"), (1e-3, "µm")].into_iter();
     let mut whole =
-        units.filter(|(mm, _)| FULL_TRAVEL_SHARE.contains(&share(*mm)) && is_within(*mm));
+        units.filter(|(mm, _)| FULL_TRAVEL_RATIO_RANGE.contains(&share(*mm)) && is_within(*mm));
     whole.next().map(|(_, unit)| unit)
 }
 
@@ -242,5 +242,5 @@ fn regression_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
         xy += x * y;
         yy += y * y;
     }
-    (xx > 0.0 && yy > 0.0 && xy * xy > MIN_EXPLAINED_SHARE * xx * yy).then(|| xy / xx)
+    (xx > 0.0 && yy > 0.0 && xy * xy > MIN_R_SQUARED * xx * yy).then(|| xy / xx)
 }

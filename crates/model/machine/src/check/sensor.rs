@@ -11,7 +11,7 @@ pub(super) const FULL_SCALE_COUNTS: f64 = 32_768.0;
 
 /// The shortest and the longest measuring range of a displacement sensor in µm: capacitive ones begin at
 /// 10 µm, and what measures more than 10 mm (eddy current, triangulation) does not fit a spindle nose.
-const MEASURING_RANGE_UM: [f64; 2] = [10.0, 10_000.0];
+const PLAUSIBLE_MEASURING_RANGE_UM: [f64; 2] = [10.0, 10_000.0];
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let Some(model) = &machine.spindle.sensor else { return Vec::new() };
@@ -104,7 +104,7 @@ fn implausible_range_warning(
     input: &SensorInput,
 ) -> Option<Warning> {
     let range_um = model.um_per_count.abs() * input.counts_full_scale;
-    let [least, most] = MEASURING_RANGE_UM;
+    let [least, most] = PLAUSIBLE_MEASURING_RANGE_UM;
     if (least..=most).contains(&range_um) {
         return None;
     }

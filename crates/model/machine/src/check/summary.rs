@@ -4,13 +4,13 @@
 use trueup_store::calibration::MAX_BLOB_SIZE;
 
 use super::{
-    error_bounds::{ErrorBound, axis_error_bounds, elongation_bounds, elongation_share},
+    error_bounds::{ErrorBound, axis_error_bounds, elongation_bounds, elongation_fraction},
     limits::max_unnoticed_slew_um_per_s,
 };
 use crate::{
-    compile::{DECOMPILED_INPUT, compile},
+    compile::{DECOMPILED_SENSOR_INPUT, compile},
     file::Machine,
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -28,7 +28,7 @@ pub struct Summary {
     /// How finely the displacement sensor is read; `None` where none is connected.
     pub sensor: Option<SensorSummary>,
     /// Bytes of the calibration, or why the board cannot have it.
-    pub bytes: Result<usize, BadInput>,
+    pub bytes: Result<usize, InputFileError>,
     /// Bytes that a calibration may have.
     pub most_bytes: usize,
 }
@@ -97,7 +97,7 @@ impl Summary {
 /// Returns the parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
 /// can turn the tool there.
 fn axis_error_bounds_with_elongation(machine: &Machine, axis: LinearAxis) -> Vec<ErrorBound> {
-    let share = elongation_share(machine, axis);
+    let share = elongation_fraction(machine, axis);
     let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
     let growth =
         elongation_bounds(machine).into_iter().filter(|part| Some(&part.key) == source.as_ref());
@@ -116,7 +116,7 @@ fn sensor_summary(machine: &Machine) -> Option<SensorSummary> {
     Some(SensorSummary {
         um_per_count,
         um_per_code: um_per_count
-            * input.counts_from_codes(DECOMPILED_INPUT.codes_from_counts(1.0)),
+            * input.counts_from_codes(DECOMPILED_SENSOR_INPUT.codes_from_counts(1.0)),
         range_um: um_per_count * input.counts_full_scale,
         volts_full_scale: input.volts_full_scale,
         counts_full_scale: input.counts_full_scale,

@@ -83,7 +83,7 @@ fn kelvin_warning(machine: &Machine, key: &str, temperature_c: f64) -> Option<Wa
 }
 
 fn slope_unit_warning(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Option<Warning> {
-    if thermal.table.is_some() || !thermal.mode.has_position() {
+    if thermal.table.is_some() || !thermal.mode.has_position_term() {
         return None;
     }
     let key = format!("{key}.slope_um_per_m_per_c");
@@ -92,7 +92,7 @@ fn slope_unit_warning(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Opt
 }
 
 fn constant_unit_warning(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Option<Warning> {
-    let is_used = thermal.table.is_none() && thermal.mode.has_constant();
+    let is_used = thermal.table.is_none() && thermal.mode.has_constant_term();
     let key = format!("{key}.constant_um_per_c");
     is_used
         .then(|| negligible_value_warning(machine, &key, thermal.constant_um_per_c, "µm"))

@@ -285,7 +285,7 @@ fn longest_spindle_run_s(time_s: &[f64], rpm: &[f64]) -> f64 {
 /// range is that of a hall.
 fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     const MIN_STEPS: usize = 100;
-    const MAX_MEAN_STEP_SHARE: f64 = 0.03;
+    const MAX_MEAN_STEP_FRACTION: f64 = 0.03;
     const MIN_ROW_INTERVAL_S: f64 = 1_000.0;
     let [least, most] = value_range(values)?;
     let mut steps: Vec<(f64, f64)> = time_s
@@ -297,7 +297,7 @@ fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     let mean = steps.iter().map(|(_, step)| step).sum::<f64>() / steps.len() as f64;
     if steps.len() < MIN_STEPS
         || most - least < MIN_SELF_HEATING_K
-        || mean > MAX_MEAN_STEP_SHARE * (most - least)
+        || mean > MAX_MEAN_STEP_FRACTION * (most - least)
     {
         return None;
     }

@@ -2,7 +2,7 @@
 
 use crate::{
     file::Machine,
-    location::{BadInput, Location},
+    location::{InputFileError, Location},
 };
 
 /// Something in a file that can be, and hardly ever is.
@@ -24,7 +24,7 @@ impl Warning {
         what: &str,
         help: impl Into<String>,
     ) -> Self {
-        let BadInput { place, rule, .. } = machine.places.key_error(key, what);
+        let InputFileError { place, rule, .. } = machine.places.key_error(key, what);
         Self { place, what: rule, help: help.into() }
     }
 }

@@ -15,11 +15,11 @@ use super::{
     part_differences::PartDifferences,
     pitch::{self, PitchTables, compile_pitch},
     squareness::{linear_axis_from_board, linear_axis_to_board},
-    thermal::{self, LawPieces},
+    thermal::{self, LawSegments},
 };
 use crate::{
     file::{self, Machine},
-    location::BadInput,
+    location::InputFileError,
     sections::{Backlash, Feedback, LinearAxis, SecondDrive},
     unit_conversion::{
         FINE_UNITS_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32, to_user_value,
@@ -31,7 +31,7 @@ const SPEED_UNITS_PER_MM_PER_MIN: f64 = POSITION_UNITS_PER_MM / 60_000.0;
 
 /// The tables of one axis.
 pub(super) struct AxisTables {
-    law: LawPieces,
+    law: LawSegments,
     /// Of the lag, rising and falling.
     smoothing: [SmoothingFactor; 2],
     pitch: Option<PitchTables>,
@@ -43,10 +43,10 @@ pub(super) fn compile(
     name: LinearAxis,
     falling_s: Option<f64>,
     account: &mut PartDifferences<'_>,
-) -> Result<AxisTables, BadInput> {
+) -> Result<AxisTables, InputFileError> {
     let key = format!("axis.{}", name.name());
     let mut tables = AxisTables {
-        law: LawPieces::new(),
+        law: LawSegments::new(),
         smoothing: [SmoothingFactor::NO_LAG; 2],
         pitch: None,
         dual: None,
@@ -70,11 +70,11 @@ pub(super) fn compile(
     Ok(tables)
 }
 
-pub(super) fn view<'t>(
+pub(super) fn axis_model<'t>(
     machine: &Machine,
     number: usize,
     tables: &'t AxisTables,
-) -> Result<calibration::AxisModel<'t>, BadInput> {
+) -> Result<calibration::AxisModel<'t>, InputFileError> {
     let axis = &machine.axes[number];
     let key = format!("axis.{}", LinearAxis::ALL[number].name());
     let bad = |key: String, rule: String| machine.places.key_error(&key, rule);

@@ -147,7 +147,7 @@ fn add_segments(
     let length = end.abs_diff(start);
     // The knot at its start belongs to the segment before, except at the first.
     let reach = if segments.is_empty() { length } else { length.saturating_sub(1) };
-    let shift = Segment::shift_for(reach);
+    let shift = Segment::shift_for_reach(reach);
     let dyadic = 2_f64.powi(32 - i32::from(shift));
     // t runs backwards from the end.
     let place = |t: f64| f64::from(end) - (t + 1.0) / 2.0 * dyadic;
@@ -159,7 +159,7 @@ fn add_segments(
     let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(round_to_i32);
     if let [Some(c0), Some(c1), Some(c2), Some(c3)] = stored {
         let segment = Segment::new(Position(end), shift, [c0, c1, c2, c3]);
-        if segment.is_sound(reach) {
+        if segment.is_valid_for_reach(reach) {
             segments.push(segment);
             return Ok(());
         }
@@ -236,12 +236,12 @@ fn build_bucket_index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), ErrorMessage> 
 
 /// At every end of a segment and at places between.
 fn max_difference_nm(curve: &Curve<'_>, pieces: &[CurvePiece<'_>]) -> f64 {
-    const SAMPLES_PER_PIECE: i64 = 48;
+    const INTERVALS_PER_PIECE: i64 = 48;
     let mut worst: f64 = 0.0;
     for (number, piece) in pieces.iter().enumerate() {
         let length = i64::from(piece.end) - i64::from(piece.start);
-        for n in 0..=SAMPLES_PER_PIECE {
-            let place = i64::from(piece.start) + length * n / SAMPLES_PER_PIECE;
+        for n in 0..=INTERVALS_PER_PIECE {
+            let place = i64::from(piece.start) + length * n / INTERVALS_PER_PIECE;
             // The knot at a start belongs to the piece before.
             if n == 0 && number > 0 {
                 continue;
@@ -261,9 +261,9 @@ pub(super) fn steepest_slope(pieces: &[CurvePiece<'_>]) -> (f64, f64) {
     for piece in pieces {
         let (start, end) = (f64::from(piece.start), f64::from(piece.end));
         // The slope of a cubic is a parabola; by differences it is right at the middle of each.
-        const SAMPLES_PER_PIECE: u32 = 64;
-        let step = (end - start) / f64::from(SAMPLES_PER_PIECE);
-        for n in 0..SAMPLES_PER_PIECE {
+        const INTERVALS_PER_PIECE: u32 = 64;
+        let step = (end - start) / f64::from(INTERVALS_PER_PIECE);
+        for n in 0..INTERVALS_PER_PIECE {
             let low = start + step * f64::from(n);
             let rise = (piece.value)(low + step) - (piece.value)(low);
             let slope = rise / FINE_UNITS_PER_UM / (step / POSITION_UNITS_PER_MM);

@@ -14,11 +14,11 @@ use crate::{
     effect::BoardTerm,
     file::Machine,
     inputs::{
-        ConditionInput, CountScale, Inputs, LinearInput, MAX_CHANNEL, SensorInput,
+        ConditionInput, CountScale, Inputs, LinearInput, MAX_TEMPERATURE_CHANNEL, SensorInput,
         TemperatureInput, TemperatureKind,
     },
     keys::reader::is_temperature_column,
-    location::BadInput,
+    location::InputFileError,
     model::required_columns,
     unit_conversion::{
         TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, shortest_decimal, to_user_value,
@@ -32,11 +32,15 @@ const RATE_UNITS_PER_KELVIN_PER_MIN: f64 = 10.0;
 const SUBCOUNTS_PER_COUNT: f64 = 256.0;
 
 /// The inputs of a machine that comes from a calibration: one count is one ADC code, exactly.
-pub(crate) const DECOMPILED_INPUT: SensorInput =
+pub(crate) const DECOMPILED_SENSOR_INPUT: SensorInput =
     SensorInput { volts_full_scale: 10.0, counts_full_scale: 4096.0, divider: 0.33 };
 
 /// Returns the channel of a temperature column that the section `key` uses.
-pub(super) fn find_channel(machine: &Machine, key: &str, column: &str) -> Result<u8, BadInput> {
+pub(super) fn find_channel(
+    machine: &Machine,
+    key: &str,
+    column: &str,
+) -> Result<u8, InputFileError> {
     let input = machine.inputs.as_ref().and_then(|inputs| inputs.temperatures.get(column));
     input.map(|input| input.channel).ok_or_else(|| {
         let rule = format!(
@@ -51,7 +55,7 @@ pub(super) fn find_channel(machine: &Machine, key: &str, column: &str) -> Result
 ///
 /// The kind of thermometer is not known here: a PT100 is written, the usual one.
 #[must_use]
-pub fn missing_inputs(machine: &Machine) -> Vec<String> {
+pub fn missing_input_lines(machine: &Machine) -> Vec<String> {
     let connected = machine.inputs.as_ref().map(|inputs| &inputs.temperatures);
     let is_missing = |name: &String| {
         is_temperature_column(name) && connected.is_none_or(|there| !there.contains_key(name))
@@ -59,7 +63,7 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     let is_free = |channel: &u8| {
         connected.is_none_or(|there| there.values().all(|input| input.channel != *channel))
     };
-    let mut free = (0..=MAX_CHANNEL).filter(is_free);
+    let mut free = (0..=MAX_TEMPERATURE_CHANNEL).filter(is_free);
     let line = |name: String| match free.next() {
         Some(channel) => format!("{name} = {{ channel = {channel}, kind = \"pt100\" }}"),
         None => format!("# {name}: no channel is free"),
@@ -67,7 +71,7 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     let missing =
         required_columns(&machine.with_compensated_terms()).into_iter().filter(is_missing);
     let mut lines: Vec<String> = missing.map(line).collect();
-    lines.extend(missing_conditions(machine));
+    lines.extend(missing_condition_lines(machine));
     if !lines.is_empty() && machine.inputs.is_none() {
         lines.insert(0, "[inputs]".into());
     }
@@ -75,14 +79,14 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
 }
 
 /// Returns the lines for the conditions of its terms, each with a bit of its own.
-fn missing_conditions(machine: &Machine) -> Vec<String> {
+fn missing_condition_lines(machine: &Machine) -> Vec<String> {
     let mut inputs = machine.inputs.clone().unwrap_or_default();
     let mut lines = Vec::new();
-    for column in board_conditions(machine) {
+    for column in board_condition_columns(machine) {
         if !inputs.conditions.contains_key(&column) {
-            let line = condition_declaration(Some(&inputs), &column);
+            let line = condition_input_line(Some(&inputs), &column);
             lines.push(line);
-            let bit = first_free_bit(&inputs);
+            let bit = first_free_condition_bit(&inputs);
             inputs
                 .conditions
                 .extend(bit.map(|bit| (column, ConditionInput { bit, default: false })));
@@ -92,8 +96,8 @@ fn missing_conditions(machine: &Machine) -> Vec<String> {
 }
 
 /// Returns the line of `[inputs]` for a condition, with the first bit that is free.
-pub(super) fn condition_declaration(inputs: Option<&Inputs>, column: &str) -> String {
-    match inputs.map_or(Some(0), first_free_bit) {
+pub(super) fn condition_input_line(inputs: Option<&Inputs>, column: &str) -> String {
+    match inputs.map_or(Some(0), first_free_condition_bit) {
         Some(bit) => format!("{column} = {{ kind = \"condition\", bit = {bit} }}"),
         None => format!("# {column}: no bit is free"),
     }
@@ -105,13 +109,13 @@ pub(super) fn condition_column(bit: u8) -> String {
 }
 
 /// Returns the first bit that no condition has.
-pub(crate) fn first_free_bit(inputs: &Inputs) -> Option<u8> {
+pub(crate) fn first_free_condition_bit(inputs: &Inputs) -> Option<u8> {
     let taken = |bit: &u8| inputs.conditions.values().any(|condition| condition.bit == *bit);
     (0..trueup_core::dimensions::CONDITION_COUNT).find(|bit| !taken(bit))
 }
 
 /// Returns the columns of the conditions that the board follows.
-pub(crate) fn board_conditions(machine: &Machine) -> Vec<String> {
+pub(crate) fn board_condition_columns(machine: &Machine) -> Vec<String> {
     let forms = machine.terms.iter().flat_map(|term| term.effect.board_terms());
     let mut columns: Vec<String> = forms
         .filter_map(|form| match form {
@@ -126,7 +130,7 @@ pub(crate) fn board_conditions(machine: &Machine) -> Vec<String> {
 
 pub(super) fn compile_thermometers(
     machine: &Machine,
-) -> Result<[Option<Thermometer>; CHANNEL_COUNT], BadInput> {
+) -> Result<[Option<Thermometer>; CHANNEL_COUNT], InputFileError> {
     let mut thermometers = [None; CHANNEL_COUNT];
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let key = format!("inputs.{name}");
@@ -152,7 +156,7 @@ pub(super) fn compile_thermometers(
 }
 
 /// Returns the fastest changes of the channels, in tenths of a kelvin a minute.
-pub(super) fn compile_input_settings(machine: &Machine) -> Result<InputSettings, BadInput> {
+pub(super) fn compile_input_settings(machine: &Machine) -> Result<InputSettings, InputFileError> {
     let inputs = machine.inputs.as_ref();
     let service_switch = inputs.is_some_and(|inputs| inputs.service_switch);
     let mains = inputs.map(|inputs| inputs.mains).unwrap_or_default();
@@ -222,7 +226,7 @@ pub(super) fn decompile(
         temperatures
             .insert(temperature_column(channel), TemperatureInput { channel, kind, max_c_per_min });
     }
-    let sensor = has_sensor.then_some(DECOMPILED_INPUT);
+    let sensor = has_sensor.then_some(DECOMPILED_SENSOR_INPUT);
     let (service_switch, mains) = (guards.service_switch, guards.mains);
     let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
     let is_connected = is_connected || mains != MainsFrequency::default();

@@ -2,7 +2,7 @@
 
 use trueup_core::{
     kinematics::{self, Kinematics},
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
 };
 
 use crate::{file::MachineKind, sections::RotaryAxis, unit_conversion::round_to_i32};
@@ -33,10 +33,10 @@ pub(super) fn rotary_axis_from_board(axis: kinematics::RotaryAxis) -> RotaryAxis
     }
 }
 
-fn compile_direction(tool_direction: [f64; 3]) -> Direction {
-    let stored = |component: f64| round_to_i32(component * f64::from(Direction::ONE));
+fn compile_direction(tool_direction: [f64; 3]) -> ToolDirection {
+    let stored = |component: f64| round_to_i32(component * f64::from(ToolDirection::ONE));
     // A component is at most 1 in magnitude, give or take the last bit of an f64: it always fits.
-    Direction(tool_direction.map(|component| stored(component).expect("a length of 1")))
+    ToolDirection(tool_direction.map(|component| stored(component).expect("a length of 1")))
 }
 
 /// Returns what a user writes: the kind of machine, its axes and the direction in the fewest decimals,
@@ -58,7 +58,7 @@ pub(super) fn decompile(
 }
 
 /// Returns the direction with the fewest decimals that is stored as `stored` again.
-fn decompile_direction(stored: Direction) -> [f64; 3] {
+fn decompile_direction(stored: ToolDirection) -> [f64; 3] {
     const MAX_DECIMALS: i32 = 12;
     let unit = unit_vector_near(stored);
     (0..=MAX_DECIMALS)
@@ -72,9 +72,9 @@ fn decompile_direction(stored: Direction) -> [f64; 3] {
 }
 
 /// Returns whether the machine file's reader and the compiler make `stored` of `written`.
-fn compiles_to(written: [f64; 3], stored: Direction) -> bool {
+fn compiles_to(written: [f64; 3], stored: ToolDirection) -> bool {
     let length = written.iter().map(|component| component * component).sum::<f64>().sqrt();
-    let one = f64::from(Direction::ONE);
+    let one = f64::from(ToolDirection::ONE);
     // Without a length this is NaN, which is equal to nothing.
     written.map(|component| (component / length * one).round()) == stored.0.map(f64::from)
 }
@@ -85,8 +85,8 @@ fn compiles_to(written: [f64; 3], stored: Direction) -> bool {
 /// last place, into the next one. The length added by rounding is therefore taken back in
 /// equal steps from all three components, which moves each by half a place at most if there is such
 /// a vector at all.
-fn unit_vector_near(stored: Direction) -> [f64; 3] {
-    let one = f64::from(Direction::ONE);
+fn unit_vector_near(stored: ToolDirection) -> [f64; 3] {
+    let one = f64::from(ToolDirection::ONE);
     let components = stored.0.map(f64::from);
     let length = components.iter().map(|component| component * component).sum::<f64>().sqrt();
     let sum = components.iter().map(|component| component.abs()).sum::<f64>();

@@ -5,8 +5,8 @@ use trueup_core::{dimensions::THERMAL_STEP_MS, lag::SmoothingFactor};
 use super::curve::ErrorMessage;
 use crate::unit_conversion::{round_to_u32, shortest_decimal};
 
-const SMOOTHING_ONE: f64 = (1_u64 << 32) as f64;
-const STEP_S: f64 = THERMAL_STEP_MS as f64 / 1_000.0;
+const SMOOTHING_FACTOR_SCALE: f64 = (1_u64 << 32) as f64;
+const THERMAL_STEP_S: f64 = THERMAL_STEP_MS as f64 / 1_000.0;
 
 /// 1 − e^(−Δt/τ) for the board's step; all of it where there is no lag.
 pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, ErrorMessage> {
@@ -14,7 +14,7 @@ pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, 
         return Ok(SmoothingFactor::NO_LAG);
     }
     // exp_m1 keeps the digits of a long time constant.
-    let factor = (-(-STEP_S / time_constant_s).exp_m1() * SMOOTHING_ONE).round();
+    let factor = (-(-THERMAL_STEP_S / time_constant_s).exp_m1() * SMOOTHING_FACTOR_SCALE).round();
     if factor < 1_000.0 {
         return Err(format!("{time_constant_s} s is longer than the board can follow (5 days)"));
     }
@@ -31,12 +31,12 @@ pub(super) fn smoothing_factors(
 
 /// τ of 1 − e^(−Δt/τ), in s.
 pub(crate) fn time_constant_s(smoothing: SmoothingFactor) -> f64 {
-    -STEP_S / (-f64::from(smoothing.0) / SMOOTHING_ONE).ln_1p()
+    -THERMAL_STEP_S / (-f64::from(smoothing.0) / SMOOTHING_FACTOR_SCALE).ln_1p()
 }
 
 /// Returns whether a lag of this time constant is stored as `smoothing`.
 pub(super) fn compiles_to(time_constant_s: f64, smoothing: SmoothingFactor) -> bool {
-    let stored = -(-STEP_S / time_constant_s).exp_m1() * SMOOTHING_ONE;
+    let stored = -(-THERMAL_STEP_S / time_constant_s).exp_m1() * SMOOTHING_FACTOR_SCALE;
     (stored - f64::from(smoothing.0)).abs() < 0.49
 }
 

@@ -8,17 +8,17 @@ use trueup_store::calibration::{
 
 use crate::{
     file::{self, Machine},
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
     unit_conversion::{NM_PER_UM, round_to_i32, round_to_u32},
 };
 
 /// Caps of what was learned have one decimal.
-const CAP_STEPS_PER_UNIT: f64 = 10.0;
+const LEARNED_LIMIT_STEPS_PER_UNIT: f64 = 10.0;
 
 /// Returns the limits on the board.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 0…255 first")]
-pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
+pub(super) fn compile(machine: &Machine) -> Result<Limits, InputFileError> {
     let limits = &machine.limits;
     let mut max = [Nanometres::ZERO; 3];
     for ((stored, axis), max_um) in max.iter_mut().zip(LinearAxis::ALL).zip(limits.max_um) {
@@ -59,10 +59,10 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
         }
     }
     let cap = |key: &str, value: f64, most: u8| {
-        let stored = (value * CAP_STEPS_PER_UNIT).round();
-        let most_value = f64::from(most) / CAP_STEPS_PER_UNIT;
+        let stored = (value * LEARNED_LIMIT_STEPS_PER_UNIT).round();
+        let most_value = f64::from(most) / LEARNED_LIMIT_STEPS_PER_UNIT;
         if !(0.0..=f64::from(most)).contains(&stored)
-            || (stored / CAP_STEPS_PER_UNIT - value).abs() > 1e-9
+            || (stored / LEARNED_LIMIT_STEPS_PER_UNIT - value).abs() > 1e-9
         {
             let rule = format!(
                 "{value} is not one of 0, 0.1, … {most_value}, the most that the board allows"
@@ -94,10 +94,10 @@ pub(super) fn decompile(limits: &Limits) -> file::Limits {
         link_timeout_ms: limits.link_timeout_ms,
         hold_ms: limits.hold_ms,
         rejoin_um_per_s: f64::from(limits.rejoin_nm_per_s) / NM_PER_UM,
-        learned: file::LearnedCaps {
-            growth_percent: f64::from(limits.learned.growth) / CAP_STEPS_PER_UNIT,
-            axes_percent: f64::from(limits.learned.axes) / CAP_STEPS_PER_UNIT,
-            zero_um: f64::from(limits.learned.zero) / CAP_STEPS_PER_UNIT,
+        learned: file::LearnedChangeLimits {
+            growth_percent: f64::from(limits.learned.growth) / LEARNED_LIMIT_STEPS_PER_UNIT,
+            axes_percent: f64::from(limits.learned.axes) / LEARNED_LIMIT_STEPS_PER_UNIT,
+            zero_um: f64::from(limits.learned.zero) / LEARNED_LIMIT_STEPS_PER_UNIT,
         },
     }
 }

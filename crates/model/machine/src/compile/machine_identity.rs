@@ -3,7 +3,7 @@
 use trueup_core::{calibration::MachineIdentity, units::Temperature};
 use trueup_store::calibration::MAX_COLD_TOLERANCE;
 
-use crate::{file::Machine, location::BadInput, unit_conversion::round_to_i32};
+use crate::{file::Machine, location::InputFileError, unit_conversion::round_to_i32};
 
 const UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
 
@@ -22,7 +22,7 @@ pub(super) fn decompile_name(stored: &[u8]) -> Option<String> {
 }
 
 /// Within how much the thermometers of a cold machine agree, on the board.
-pub(super) fn compile_cold_tolerance(machine: &Machine) -> Result<Temperature, BadInput> {
+pub(super) fn compile_cold_tolerance(machine: &Machine) -> Result<Temperature, InputFileError> {
     let within = machine.cold_within_c;
     let stored = round_to_i32(within * UNITS_PER_KELVIN).map(Temperature);
     stored.filter(|stored| (Temperature(0)..=MAX_COLD_TOLERANCE).contains(stored)).ok_or_else(

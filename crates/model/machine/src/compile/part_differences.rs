@@ -1,6 +1,6 @@
 //! How far each part of a calibration is from the model, and what is too far.
 
-use crate::{file::Machine, location::BadInput};
+use crate::{file::Machine, location::InputFileError};
 
 /// A part of a calibration further than this from the model, in nm anywhere in its range, is
 /// refused.
@@ -18,7 +18,7 @@ impl PartDifferences<'_> {
         &mut self,
         key: &str,
         made: Result<(T, f64), String>,
-    ) -> Result<T, BadInput> {
+    ) -> Result<T, InputFileError> {
         let bad = |rule: String| self.machine.places.key_error(key, rule);
         let (table, difference_nm) = made.map_err(bad)?;
         if difference_nm > MAX_DIFFERENCE_NM {

@@ -70,7 +70,8 @@ fn pitch_difference_nm(pitch: &file::PitchErrorTable, board: &PitchErrorTable<'_
         for (direction, blend) in [(1.0, Fraction::ZERO), (-1.0, Fraction::ONE)] {
             let stored = f64::from(board.error_at(Position(units), blend).0.0) / FINE_UNITS_PER_UM
                 * NM_PER_UM;
-            worst = worst.max((stored - model::pitch_um(pitch, mm, direction) * NM_PER_UM).abs());
+            worst =
+                worst.max((stored - model::pitch_error_um(pitch, mm, direction) * NM_PER_UM).abs());
         }
     }
     worst

@@ -16,7 +16,7 @@
 //! the result (half a nanometre).
 
 use trueup_core::{
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     units::{Nanometres, READING_UNITS_PER_CODE, Reading},
 };
 
@@ -24,22 +24,22 @@ use super::part_differences::MAX_DIFFERENCE_NM;
 use crate::{
     file::Machine,
     inputs::SensorInput,
-    location::BadInput,
+    location::InputFileError,
     model,
     sections::SensorModel,
     unit_conversion::{NM_PER_UM, round_to_i32},
 };
 
-const SLOPE_ONE: f64 = (1_u64 << Slope::FRACTION_BITS) as f64;
+const SENSOR_SLOPE_SCALE: f64 = (1_u64 << SensorSlope::FRACTION_BITS) as f64;
 
 /// A slope that the board's integers hold as 0; a machine file must not state 0 itself.
-pub(crate) const ZERO_SLOPE_UM_PER_COUNT: f64 = 1e-12;
+pub(crate) const NEAR_ZERO_SLOPE_UM_PER_COUNT: f64 = 1e-12;
 
 /// Returns the elongation in nm that `law` gives at full resolution: before the board rounds the reading
 /// and the result.
 #[must_use]
 pub(crate) fn exact_elongation_nm(law: &SensorLaw, reading: f64) -> f64 {
-    let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;
+    let slope_nm = f64::from(law.slope.0) / SENSOR_SLOPE_SCALE;
     f64::from(law.k0.0) + (reading - f64::from(law.zero.0)) * slope_nm
 }
 
@@ -47,7 +47,7 @@ pub(crate) fn exact_elongation_nm(law: &SensorLaw, reading: f64) -> f64 {
 pub(super) fn compile(
     machine: &Machine,
     model: &SensorModel,
-) -> Result<(SensorLaw, f64), BadInput> {
+) -> Result<(SensorLaw, f64), InputFileError> {
     let Some(input) = machine.inputs.as_ref().and_then(|inputs| inputs.sensor) else {
         let rule = "is missing: the board must know how the sensor's counts reach it";
         return Err(machine.places.key_error("inputs.sensor", rule));
@@ -56,7 +56,7 @@ pub(super) fn compile(
     let slope_nm = model.um_per_count * NM_PER_UM / readings_per_count;
     let zero_reading = input.exact_reading_from_counts(model.zero_counts);
 
-    let slope = round_to_i32(slope_nm * SLOPE_ONE).ok_or_else(|| {
+    let slope = round_to_i32(slope_nm * SENSOR_SLOPE_SCALE).ok_or_else(|| {
         let rule = format!(
             "{} is {slope_nm:.3} nm for one of the board's reading units, which must be below 8: \
              at most {} µm a count with this input",
@@ -69,12 +69,12 @@ pub(super) fn compile(
         let rule = format!("{} is outside what the board can store", model.zero_counts);
         machine.places.key_error("spindle.sensor.zero_counts", rule)
     })?;
-    let moved_by_zero = (f64::from(zero) - zero_reading) * (f64::from(slope) / SLOPE_ONE);
+    let moved_by_zero = (f64::from(zero) - zero_reading) * (f64::from(slope) / SENSOR_SLOPE_SCALE);
     let k0 = round_to_i32(model.k0_um * NM_PER_UM + moved_by_zero).ok_or_else(|| {
         let rule = format!("{} is beyond the board's ±2147483 µm", model.k0_um);
         machine.places.key_error("spindle.sensor.k0_um", rule)
     })?;
-    let law = SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: Slope(slope) };
+    let law = SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: SensorSlope(slope) };
 
     let largest_difference_nm = max_difference_nm(&law, model, &input);
     if largest_difference_nm > MAX_DIFFERENCE_NM {
@@ -109,12 +109,12 @@ fn max_difference_nm(law: &SensorLaw, model: &SensorModel, input: &SensorInput) 
 /// Returns the law in counts that are codes.
 pub(super) fn decompile(law: &SensorLaw) -> SensorModel {
     let readings_per_count = f64::from(READING_UNITS_PER_CODE);
-    let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;
+    let slope_nm = f64::from(law.slope.0) / SENSOR_SLOPE_SCALE;
     SensorModel {
         k0_um: f64::from(law.k0.0) / NM_PER_UM,
         zero_counts: f64::from(law.zero.0) / readings_per_count,
         um_per_count: match law.slope.0 {
-            0 => ZERO_SLOPE_UM_PER_COUNT,
+            0 => NEAR_ZERO_SLOPE_UM_PER_COUNT,
             _ => slope_nm * readings_per_count / NM_PER_UM,
         },
         temperature: None,

@@ -17,8 +17,8 @@ use super::curve::{spline_pieces, steepest_slope};
 use crate::{
     effect::{BoardTerm, Effect, Multiplier},
     file::Machine,
-    location::BadInput,
-    sections::{Angle, Limits, LinearAxis, PitchErrorTable},
+    location::InputFileError,
+    sections::{AngleProfile, Limits, LinearAxis, PitchErrorTable},
     spline::BSpline,
 };
 
@@ -28,14 +28,14 @@ pub(crate) const MIN_FEED_MM_PER_S: f64 = 0.5;
 
 /// A slope over an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Slope {
+pub struct SlopeAtPosition {
     /// In µm per mm; positive: the error rises with the position.
     pub um_per_mm: f64,
     /// Where, in mm; 0 for what is as steep everywhere.
     pub at_mm: f64,
 }
 
-impl Slope {
+impl SlopeAtPosition {
     /// Returns the steeper one, whatever their signs are.
     fn steeper(self, other: Self) -> Self {
         if other.um_per_mm.abs() > self.um_per_mm.abs() { other } else { self }
@@ -55,8 +55,8 @@ pub fn max_slope_um_per_mm(limits: &Limits) -> f64 {
 
 /// Returns the rule that a slope breaks on a board with these limits; none that it keeps.
 #[must_use]
-pub(crate) fn slope_violation(slope: Slope, limits: &Limits) -> Option<String> {
-    let Slope { um_per_mm, at_mm } = slope;
+pub(crate) fn slope_violation(slope: SlopeAtPosition, limits: &Limits) -> Option<String> {
+    let SlopeAtPosition { um_per_mm, at_mm } = slope;
     let most = max_slope_um_per_mm(limits);
     (um_per_mm.abs() > most).then(|| {
         format!(
@@ -69,33 +69,37 @@ pub(crate) fn slope_violation(slope: Slope, limits: &Limits) -> Option<String> {
 
 /// Returns the steepest slope of a table.
 #[must_use]
-pub(crate) fn max_table_slope(pitch: &PitchErrorTable) -> Slope {
+pub(crate) fn max_table_slope(pitch: &PitchErrorTable) -> SlopeAtPosition {
     let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
     let slopes = tables.flat_map(|um| {
-        um.windows(2).enumerate().map(|(number, pair)| Slope {
+        um.windows(2).enumerate().map(|(number, pair)| SlopeAtPosition {
             um_per_mm: (pair[1] - pair[0]) / pitch.step_mm,
             at_mm: pitch.start_mm + pitch.step_mm * number as f64,
         })
     });
-    slopes.fold(Slope::default(), Slope::steeper)
+    slopes.fold(SlopeAtPosition::default(), SlopeAtPosition::steeper)
 }
 
 /// Returns the steepest slope of a curve; none of one that the board cannot have at all.
 #[must_use]
-pub(crate) fn max_curve_slope(spline: &BSpline) -> Slope {
+pub(crate) fn max_curve_slope(spline: &BSpline) -> SlopeAtPosition {
     let (um_per_mm, at_mm) =
         spline_pieces(spline).map_or((0.0, 0.0), |pieces| steepest_slope(&pieces));
-    Slope { um_per_mm, at_mm }
+    SlopeAtPosition { um_per_mm, at_mm }
 }
 
 /// Returns the steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
 #[must_use]
-pub(crate) fn max_effect_slope(effect: &Effect) -> Slope {
-    effect.board_terms().iter().map(max_term_slope).fold(Slope::default(), Slope::steeper)
+pub(crate) fn max_effect_slope(effect: &Effect) -> SlopeAtPosition {
+    effect
+        .board_terms()
+        .iter()
+        .map(max_term_slope)
+        .fold(SlopeAtPosition::default(), SlopeAtPosition::steeper)
 }
 
-fn max_term_slope(form: &BoardTerm) -> Slope {
-    let even = |um_per_mm| Slope { um_per_mm, at_mm: 0.0 };
+fn max_term_slope(form: &BoardTerm) -> SlopeAtPosition {
+    let even = |um_per_mm| SlopeAtPosition { um_per_mm, at_mm: 0.0 };
     match form {
         BoardTerm::Table(pitch) => max_table_slope(pitch),
         BoardTerm::Curve(_, spline) => max_curve_slope(spline),
@@ -125,11 +129,13 @@ fn max_term_slope(form: &BoardTerm) -> Slope {
 }
 
 /// Returns the steepest slope of what an angle makes at a lever of 1 m.
-fn max_angle_slope(angle: &Angle) -> Slope {
+fn max_angle_slope(angle: &AngleProfile) -> SlopeAtPosition {
     match angle {
-        Angle::Line(urad_per_m) => Slope { um_per_mm: urad_per_m / 1000.0, at_mm: 0.0 },
+        AngleProfile::Line(urad_per_m) => {
+            SlopeAtPosition { um_per_mm: urad_per_m / 1000.0, at_mm: 0.0 }
+        }
         // Of a curve in µrad the value there is the same number in µm.
-        Angle::Curve(spline) => max_curve_slope(spline),
+        AngleProfile::Curve(spline) => max_curve_slope(spline),
     }
 }
 
@@ -138,8 +144,8 @@ fn max_angle_slope(angle: &Angle) -> Slope {
 ///
 /// # Errors
 /// One is; with the key and its place.
-pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
-    let mut parts: Vec<(String, Slope)> = Vec::new();
+pub fn check_slopes(machine: &Machine) -> Result<(), InputFileError> {
+    let mut parts: Vec<(String, SlopeAtPosition)> = Vec::new();
     for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
         let tables = [
             (axis.pitch.as_ref(), "pitch"),
@@ -159,7 +165,7 @@ pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
     );
     let lines = machine.squareness.iter();
     parts.extend(lines.map(|squareness| {
-        let slope = Slope { um_per_mm: squareness.um_per_m / 1000.0, at_mm: 0.0 };
+        let slope = SlopeAtPosition { um_per_mm: squareness.um_per_m / 1000.0, at_mm: 0.0 };
         (format!("squareness.{}", squareness.name()), slope)
     }));
     let angles = machine.volume.angular.iter();

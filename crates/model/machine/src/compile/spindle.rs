@@ -10,12 +10,12 @@ use super::{
     lag,
     part_differences::PartDifferences,
     sensor,
-    thermal::{self, LawPieces},
+    thermal::{self, LawSegments},
     warmup as warm_up,
 };
 use crate::{
     file::{self, Machine},
-    location::BadInput,
+    location::InputFileError,
     sections::Spindle,
 };
 
@@ -23,7 +23,7 @@ use crate::{
 pub(super) struct SpindleTables {
     sensor: SensorLaw,
     /// With the smoothing factors of its lag, rising and falling.
-    temperature: Option<(LawPieces, [SmoothingFactor; 2])>,
+    temperature: Option<(LawSegments, [SmoothingFactor; 2])>,
     warmup: Option<(warmup::WarmupModel, OwnedCurve)>,
 }
 
@@ -32,7 +32,7 @@ impl SpindleTables {
         machine: &Machine,
         falling_s: Option<f64>,
         account: &mut PartDifferences<'_>,
-    ) -> Result<Self, BadInput> {
+    ) -> Result<Self, InputFileError> {
         let spindle = &machine.spindle;
         let mut law = SensorLaw::default();
         if let Some(model) = machine.board_sensor_model() {
@@ -59,7 +59,7 @@ impl SpindleTables {
     pub(super) fn view(
         &self,
         machine: &Machine,
-    ) -> Result<calibration::SpindleModel<'_>, BadInput> {
+    ) -> Result<calibration::SpindleModel<'_>, InputFileError> {
         let spindle = &machine.spindle;
         let temperature = match (&self.temperature, &spindle.temperature) {
             (Some((law, [smoothing, smoothing_falling])), Some(model)) => {

@@ -35,8 +35,8 @@ use crate::{
         relative_heat_input,
     },
     file::{self, Machine, sorted_by_stage},
-    location::BadInput,
-    sections::Angle,
+    location::InputFileError,
+    sections::AngleProfile,
     spline::BSpline,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32,
@@ -97,7 +97,7 @@ pub(super) fn term_views(owned: &[OwnedTerm]) -> [Option<Term<'_>>; MAX_TERMS] {
 pub(super) fn compile_terms(
     machine: &Machine,
     account: &mut PartDifferences<'_>,
-) -> Result<Vec<OwnedTerm>, BadInput> {
+) -> Result<Vec<OwnedTerm>, InputFileError> {
     let mut owned = Vec::new();
     let ordered = sorted_by_stage(&machine.terms);
     // Of a quantity's terms the last that is no summand, and with it the constants of all of them.
@@ -154,7 +154,9 @@ pub(super) fn compile_terms(
 type CompileResult<T> = Result<(T, f64), String>;
 
 /// Returns the machine with the thermal laws that terms bring to axes that have none.
-pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Machine>, BadInput> {
+pub(super) fn with_thermal_laws(
+    machine: Cow<'_, Machine>,
+) -> Result<Cow<'_, Machine>, InputFileError> {
     let mut with = machine;
     for index in 0..with.terms.len() {
         let term = &with.terms[index];
@@ -178,7 +180,7 @@ fn compile_effect(
     term: &file::Term,
     form: &BoardTerm,
     account: &mut PartDifferences<'_>,
-) -> Result<Option<OwnedEffect>, BadInput> {
+) -> Result<Option<OwnedEffect>, InputFileError> {
     let made: CompileResult<Effect<'static>> = match form {
         // The law is the axis's own by now.
         BoardTerm::Offset(_) | BoardTerm::Thermal(_) => return Ok(None),
@@ -298,7 +300,7 @@ fn compile_heat_coefficient(
 
 fn compile_speed_heat(it: &SpeedHeatResponse) -> CompileResult<Effect<'static>> {
     let &SpeedHeatResponse { power, um_per_unit, time_constant_s } = it;
-    let units_per_heating = power.input_units() / relative_heat_input(power, 1.0);
+    let units_per_heating = power.input_units_per_speed_power() / relative_heat_input(power, 1.0);
     let largest = relative_heat_input(power, MAX_CHECKED_SPEED_RPM) * units_per_heating;
     let (per_unit, nm) =
         scale_coefficient(um_per_unit * FINE_UNITS_PER_UM / units_per_heating, largest)?;
@@ -356,13 +358,13 @@ fn compile_tilt(own: Option<file::LinearAxis>, it: &Tilt) -> CompileResult<Owned
         .ok_or_else(|| format!("{origin_mm} mm is beyond the board's ±21474 mm"))?;
     let origin = Position(origin);
     let (effect, nm) = match angle {
-        &Angle::Line(urad_per_m) => {
+        &AngleProfile::Line(urad_per_m) => {
             let (angle, nm) = compile_squareness(urad_per_m * REFERENCE_LEVER_M)
                 .map_err(|_| format!("{urad_per_m} is beyond the board's ±2328 µrad/m"))?;
             let tilt = term::Tilt { along, lever, origin, angle };
             (OwnedEffect::Plain(Effect::TiltLine(tilt)), nm)
         }
-        Angle::Curve(spline) => {
+        AngleProfile::Curve(spline) => {
             let control_um =
                 spline.control_um.iter().map(|urad| urad * REFERENCE_LEVER_M).collect();
             let (angle, nm) = compile_curve(&BSpline { control_um, ..spline.clone() })?;

@@ -4,8 +4,8 @@ use trueup_core::{
     calibration::{self, STRAIGHTNESS_AXIS_PAIRS},
     kinematics::RotaryAxis,
     learned::LearnedLimits,
-    sensor::{SensorLaw, Slope},
-    tool_direction::Direction,
+    sensor::{SensorLaw, SensorSlope},
+    tool_direction::ToolDirection,
     units::{Nanometres, Position, Reading, Temperature},
 };
 
@@ -30,10 +30,10 @@ fn paper() -> Machine {
 fn the_papers_constants_are_exact_in_the_boards_integers() {
     let compiled = compile(&paper()).expect("the paper's sensor fits");
     // 500 000 nm over 2²² reading units, times 2²⁸.
-    assert_eq!(compiled.calibration().spindle.sensor.slope, Slope(32_000_000));
+    assert_eq!(compiled.calibration().spindle.sensor.slope, SensorSlope(32_000_000));
     assert_eq!(compiled.calibration().spindle.sensor.zero, Reading(5048 * 128));
     assert_eq!(compiled.calibration().spindle.sensor.k0, Nanometres(0));
-    assert_eq!(compiled.calibration().kinematics.zero, Direction::DOWN);
+    assert_eq!(compiled.calibration().kinematics.zero, ToolDirection::DOWN);
     assert!(compiled.largest_difference_nm < 1e-9);
 }
 
@@ -46,7 +46,7 @@ fn behind_the_divider_of_the_wiring_the_constants_are_the_nearest_integers() {
         MachineFile::parse(text, Path::new("paper.toml")).expect("the project's own file");
     let compiled = compile(&machine).expect("the paper's sensor fits");
     let sensor = compiled.calibration().spindle.sensor;
-    assert_eq!((sensor.slope, sensor.zero), (Slope(32_195_122), Reading(642_228)));
+    assert_eq!((sensor.slope, sensor.zero), (SensorSlope(32_195_122), Reading(642_228)));
     // 0.05 of the slope's unit over the whole range, 0.8 pm; 0.02 of the zero's, 2.4 pm.
     assert!(compiled.largest_difference_nm < 0.01, "{}", compiled.largest_difference_nm);
 }
@@ -74,10 +74,10 @@ fn the_limits_arrive_in_nanometres_and_milliseconds() {
 #[test]
 fn a_direction_has_length_one_within_two_of_its_units() {
     let machine = paper_but("kind = \"3-axis\"", "kind = \"3-axis\"\ntool_direction = [1, -2, 3]");
-    let Direction(v) =
+    let ToolDirection(v) =
         compile(&machine).expect("a direction always fits").calibration().kinematics.zero;
     let length = v.iter().map(|&c| f64::from(c) * f64::from(c)).sum::<f64>().sqrt();
-    assert!((length - f64::from(Direction::ONE)).abs() < 2.0);
+    assert!((length - f64::from(ToolDirection::ONE)).abs() < 2.0);
     assert!(v[0] > 0 && v[1] < 0 && v[2] > 0);
 }
 
@@ -117,7 +117,7 @@ fn a_law_of_the_sensor_is_on_the_board_as_the_source_or_where_a_sensor_is_connec
 fn a_sensor_whose_growth_lowers_the_reading_has_a_negative_slope() {
     let machine = paper_but("um_per_count = 0.0152587890625", "um_per_count = -0.0152587890625");
     let law = compile(&machine).expect("fits").calibration().spindle.sensor;
-    assert_eq!(law.slope, Slope(-32_000_000));
+    assert_eq!(law.slope, SensorSlope(-32_000_000));
     let reading = 128.0 * (5048.0 - 1000.0);
     assert!((exact_elongation_nm(&law, reading) - 15_258.789_062_5).abs() < 1e-9);
 }

@@ -23,7 +23,7 @@ const CHECKED_RANGE_C: (i32, i32) = (-20, 100);
 const MAX_CHECKED_DISTANCE_MM: f64 = 15_000.0;
 
 /// The pieces of a law.
-pub(super) type LawPieces = Vec<[u8; LAW_SEGMENT_SIZE]>;
+pub(super) type LawSegments = Vec<[u8; LAW_SEGMENT_SIZE]>;
 
 /// Returns a temperature in the board's unit.
 pub(super) fn temperature_from_celsius(celsius: f64) -> Option<Temperature> {
@@ -31,7 +31,7 @@ pub(super) fn temperature_from_celsius(celsius: f64) -> Option<Temperature> {
 }
 
 /// Returns the law of an axis, and its largest difference from the model in nm.
-pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawPieces, f64), ErrorMessage> {
+pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawSegments, f64), ErrorMessage> {
     let rows;
     let table: &[ThermalRow] = match &thermal.table {
         Some(table) => table,
@@ -51,7 +51,8 @@ pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawPieces, f64),
             &rows
         }
     };
-    let (has_constant, has_position) = (thermal.mode.has_constant(), thermal.mode.has_position());
+    let (has_constant, has_position) =
+        (thermal.mode.has_constant_term(), thermal.mode.has_position_term());
     let masked = table.iter().map(|row| ThermalRow {
         temperature_c: row.temperature_c,
         constant_um: if has_constant { row.constant_um } else { 0.0 },
@@ -59,9 +60,9 @@ pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawPieces, f64),
     });
     let masked: Vec<ThermalRow> = masked.collect();
     let pieces = match thermal.table {
-        Some(_) => table_pieces(&masked)?,
+        Some(_) => table_segments(&masked)?,
         // One straight line for all temperatures.
-        None => vec![encode_piece(&masked[0], Some(&masked[1]))?],
+        None => vec![encode_law_segment(&masked[0], Some(&masked[1]))?],
     };
     let difference_nm = axis_difference_nm(thermal, &pieces);
     Ok((pieces, difference_nm))
@@ -71,28 +72,28 @@ pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawPieces, f64),
 pub(super) fn compile_spindle_law(
     k_um_per_c: f64,
     reference_c: f64,
-) -> Result<LawPieces, ErrorMessage> {
+) -> Result<LawSegments, ErrorMessage> {
     let at =
         |temperature_c, constant_um| ThermalRow { temperature_c, constant_um, slope_um_per_m: 0.0 };
-    let line = encode_piece(&at(reference_c, 0.0), Some(&at(reference_c + 1.0, k_um_per_c)))?;
+    let line = encode_law_segment(&at(reference_c, 0.0), Some(&at(reference_c + 1.0, k_um_per_c)))?;
     Ok(vec![line])
 }
 
 /// Returns a line from row to row; before the first and after the last their values are held.
-fn table_pieces(rows: &[ThermalRow]) -> Result<LawPieces, ErrorMessage> {
+fn table_segments(rows: &[ThermalRow]) -> Result<LawSegments, ErrorMessage> {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Ok(Vec::new()) };
-    let mut pieces = vec![encode_piece(first, None)?];
+    let mut pieces = vec![encode_law_segment(first, None)?];
     for pair in rows.windows(2) {
-        pieces.push(encode_piece(&pair[0], Some(&pair[1]))?);
+        pieces.push(encode_law_segment(&pair[0], Some(&pair[1]))?);
     }
     if rows.len() > 1 {
-        pieces.push(encode_piece(last, None)?);
+        pieces.push(encode_law_segment(last, None)?);
     }
     Ok(pieces)
 }
 
 /// From `row` on: towards `next`, or level.
-fn encode_piece(
+fn encode_law_segment(
     row: &ThermalRow,
     next: Option<&ThermalRow>,
 ) -> Result<[u8; LAW_SEGMENT_SIZE], ErrorMessage> {
@@ -140,14 +141,15 @@ fn encode_piece(
 
 /// At every quarter of a kelvin, and 15 m to either side of the origin where the board's lengths
 /// reach so far.
-fn axis_difference_nm(thermal: &ThermalLaw, pieces: &LawPieces) -> f64 {
+fn axis_difference_nm(thermal: &ThermalLaw, pieces: &LawSegments) -> f64 {
     let law = ThermalExpansionLaw { pieces };
     let mut worst: f64 = 0.0;
     for quarter in CHECKED_RANGE_C.0 * 4..=CHECKED_RANGE_C.1 * 4 {
         let celsius = f64::from(quarter) / 4.0;
         let Some(t) = temperature_from_celsius(celsius) else { continue };
         let (constant, gradient) = law.evaluate(t);
-        let exact = |mm: f64| model::thermal_um(thermal, celsius, thermal.origin_mm + mm) * 1_000.0;
+        let exact =
+            |mm: f64| model::thermal_error_um(thermal, celsius, thermal.origin_mm + mm) * 1_000.0;
         let board = |mm: f64| {
             let units = mm * f64::from(Position::PER_MILLIMETRE);
             f64::from(constant.0) / f64::from(FineNanometres::PER_NANOMETRE)

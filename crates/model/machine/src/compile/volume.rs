@@ -18,9 +18,9 @@ use super::{
 };
 use crate::{
     file::Machine,
-    location::BadInput,
+    location::InputFileError,
     sections::{
-        Angle, AngularErrorMotion, Chain, LinearAxis, RotaryAxis, RotaryLocationErrors,
+        AngleProfile, AngularErrorMotion, AxisChain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry, VolumetricModel,
     },
     spline::BSpline,
@@ -60,7 +60,7 @@ impl OwnedVolume {
 pub(super) fn compile(
     machine: &Machine,
     account: &mut PartDifferences<'_>,
-) -> Result<Option<OwnedVolume>, BadInput> {
+) -> Result<Option<OwnedVolume>, InputFileError> {
     let it = &machine.volume;
     let Some(chain) = it.chain.as_ref().filter(|_| it.has_errors()) else { return Ok(None) };
     let no_angle = || (Gradient::ZERO, OwnedCurve::EMPTY);
@@ -82,7 +82,7 @@ pub(super) fn compile(
     let mut places = [None; 2];
     for (place, axis) in places.iter_mut().zip(chain.rotary_axes()) {
         let moves_workpiece = chain.table.contains(&axis);
-        *place = Some(compile_rotary(machine, axis, moves_workpiece, account)?);
+        *place = Some(compile_rotary_location(machine, axis, moves_workpiece, account)?);
     }
     let on_workpiece = u8::try_from(chain.on_workpiece).unwrap_or(u8::MAX);
     let chain =
@@ -92,14 +92,14 @@ pub(super) fn compile(
 }
 
 /// Returns an angle, and its largest difference from the model in nm.
-fn compile_angle(angle: &Angle) -> Result<((Gradient, OwnedCurve), f64), String> {
+fn compile_angle(angle: &AngleProfile) -> Result<((Gradient, OwnedCurve), f64), String> {
     let (made, nm) = match angle {
-        Angle::Line(urad_per_m) => {
+        AngleProfile::Line(urad_per_m) => {
             let (slope, nm) = compile_squareness(urad_per_m * REFERENCE_LEVER_M)
                 .map_err(|_| format!("{urad_per_m} is beyond the board's ±2328 µrad/m"))?;
             ((slope, OwnedCurve::EMPTY), nm)
         }
-        Angle::Curve(spline) => {
+        AngleProfile::Curve(spline) => {
             let control_um =
                 spline.control_um.iter().map(|urad| urad * REFERENCE_LEVER_M).collect();
             let (made, nm) = compile_curve(&BSpline { control_um, ..spline.clone() })?;
@@ -125,12 +125,12 @@ fn compile_positions(mm: [f64; 3], most: i32) -> Result<[Position; 3], String> {
     Ok(stored)
 }
 
-fn compile_rotary(
+fn compile_rotary_location(
     machine: &Machine,
     axis: RotaryAxis,
     moves_workpiece: bool,
     account: &mut PartDifferences<'_>,
-) -> Result<volumetric_error::RotaryLocation, BadInput> {
+) -> Result<volumetric_error::RotaryLocation, InputFileError> {
     let key = format!("rotary.{}", axis.name());
     let known = machine.volume.rotary.iter().find(|location| location.axis == axis);
     let zero = [0.0; 3];
@@ -166,7 +166,7 @@ pub(super) fn decompile(
             it.rotary.iter().flatten().filter(move |location| location.moves_workpiece == is_table);
         all.map(|location| rotary_axis_from_board(location.axis)).collect::<Vec<_>>()
     };
-    let chain = Chain {
+    let chain = AxisChain {
         linear: it.chain.order().map(linear_axis_from_board),
         on_workpiece: it.chain.workpiece_axis_count().into(),
         head: turning(false),
@@ -175,9 +175,9 @@ pub(super) fn decompile(
     let angular = AngularErrorMotion::all_axis_pairs().into_iter().filter_map(|(about, along)| {
         let angle = &it.guides[along.index()].about[about.index()];
         let angle = if !angle.curve.is_empty() {
-            Angle::Curve(curve::decompile_angle(&angle.curve, REFERENCE_LEVER_M))
+            AngleProfile::Curve(curve::decompile_angle(&angle.curve, REFERENCE_LEVER_M))
         } else if angle.slope != Gradient::ZERO {
-            Angle::Line(to_user_value(
+            AngleProfile::Line(to_user_value(
                 angle.slope.0,
                 GRADIENT_UNITS_PER_UM_PER_M * REFERENCE_LEVER_M,
             ))

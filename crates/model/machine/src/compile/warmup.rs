@@ -18,12 +18,12 @@ use crate::{
     },
 };
 
-const FULL_GROWTH_ONE: f64 = (1_u64 << warmup::WarmupModel::FULL_FRACTION_BITS) as f64;
+const FULL_FRACTION_SCALE: f64 = (1_u64 << warmup::WarmupModel::FULL_FRACTION_BITS) as f64;
 const RATED_HEAT_INPUT: f64 = warmup::WarmupModel::RATED_HEAT_INPUT as f64;
 
 /// Returns the warm-up model, with the curve of its speed exponent.
 pub(super) fn compile(warmup: &Warmup) -> Result<(warmup::WarmupModel, OwnedCurve), ErrorMessage> {
-    let full = 1.0 / -(-warmup.exponent).exp_m1() * FULL_GROWTH_ONE;
+    let full = 1.0 / -(-warmup.exponent).exp_m1() * FULL_FRACTION_SCALE;
     let full = round_to_i32(full)
         .ok_or_else(|| format!("exponent {} is below the board's 0.008", warmup.exponent))?;
     let max = round_to_i32(warmup.max_um * FINE_UNITS_PER_UM)
@@ -97,9 +97,9 @@ pub(super) fn decompile(warmup: &SpindleWarmupModel<'_>) -> Warmup {
     const MAX_EXPONENT: f64 = 20.0;
     let law = &warmup.law;
     let full = f64::from(law.full);
-    let exponent = if full > FULL_GROWTH_ONE {
-        let same = |k: f64| (FULL_GROWTH_ONE / -(-k).exp_m1() - full).abs() < 0.49;
-        shortest_decimal(-(-FULL_GROWTH_ONE / full).ln_1p(), same)
+    let exponent = if full > FULL_FRACTION_SCALE {
+        let same = |k: f64| (FULL_FRACTION_SCALE / -(-k).exp_m1() - full).abs() < 0.49;
+        shortest_decimal(-(-FULL_FRACTION_SCALE / full).ln_1p(), same)
     } else {
         MAX_EXPONENT
     };

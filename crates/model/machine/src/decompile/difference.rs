@@ -10,7 +10,7 @@ use trueup_core::{
     pitch_table::PitchErrorTable,
     term::{Effect, Term},
     thermal::ThermalExpansionLaw,
-    tool_direction::Direction,
+    tool_direction::ToolDirection,
     travel::Fraction,
     units::{AdcCode, Position, READING_UNITS_PER_CODE, Temperature},
     volumetric_error::VolumetricErrorModel,
@@ -27,7 +27,7 @@ const RATED_HEAT_INPUT: f64 = warmup::WarmupModel::RATED_HEAT_INPUT as f64;
 
 /// Returns the largest difference in nm between what the board computes by `a` and by `b`; `None` where they
 /// differ in more than numbers of nanometres.
-pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<f64> {
+pub(super) fn calibration_difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<f64> {
     /// A tool direction is held against the other with this elongation.
     const CHECKED_ELONGATION_NM: f64 = 1e6;
     let is_alike = a.thermometers == b.thermometers
@@ -41,7 +41,7 @@ pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<
     }
     let mut worst = spindle_difference_nm(&a.spindle, &b.spindle)?;
     for (a, b) in a.kinematics.zero.0.into_iter().zip(b.kinematics.zero.0) {
-        let off = f64::from(a.abs_diff(b)) / f64::from(Direction::ONE);
+        let off = f64::from(a.abs_diff(b)) / f64::from(ToolDirection::ONE);
         worst = worst.max(off * CHECKED_ELONGATION_NM);
     }
     for (a, b) in a.axes.iter().zip(&b.axes) {
@@ -191,14 +191,14 @@ pub(super) fn max_pitch_error_nm(pitch: &PitchErrorTable<'_>) -> Option<f64> {
 
 /// At the ends of the segments of `a` and at places between, in the curves' units.
 pub(super) fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
-    const POINTS_PER_SEGMENT: i64 = 17;
+    const INTERVALS_PER_SEGMENT: i64 = 17;
     let mut start = a.first_knot().0;
     let mut worst = 0;
     for bytes in a.segments() {
         let end = Segment::from_bytes(bytes).end.0;
-        for n in 0..=POINTS_PER_SEGMENT {
+        for n in 0..=INTERVALS_PER_SEGMENT {
             let place =
-                i64::from(start) + (i64::from(end) - i64::from(start)) * n / POINTS_PER_SEGMENT;
+                i64::from(start) + (i64::from(end) - i64::from(start)) * n / INTERVALS_PER_SEGMENT;
             let place = Position(i32::try_from(place).expect("between two of i32"));
             worst = worst.max(a.evaluate(place).0.0.abs_diff(b.evaluate(place).0.0));
         }
@@ -242,7 +242,7 @@ pub(super) fn volume_difference_nm(
 /// Returns how far two terms are apart, in nm; `None` where they are not the same kind of thing.
 pub(super) fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
     /// So far from 0 waves are held against each other, in position units: 15 m.
-    const MAX_CHECKED_POSITION: f64 = 1.5e9;
+    const MAX_CHECKED_POSITION_UNITS: f64 = 1.5e9;
     if a.target != b.target || a.constant != b.constant {
         return None;
     }
@@ -264,7 +264,8 @@ pub(super) fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
             Effect::Wave { turns, phase, amplitude },
             Effect::Wave { turns: other, phase: second, amplitude: third },
         ) if amplitude == third => {
-            let turned = turns.abs_diff(*other) as f64 / 2_f64.powi(64) * MAX_CHECKED_POSITION
+            let turned = turns.abs_diff(*other) as f64 / 2_f64.powi(64)
+                * MAX_CHECKED_POSITION_UNITS
                 + f64::from(phase.abs_diff(*second)) / 2_f64.powi(32);
             Some(f64::from(amplitude.0) / FINE_UNITS_PER_NM * std::f64::consts::TAU * turned)
         }

@@ -1,11 +1,11 @@
 use trueup_core::{
     calibration::ElongationSource,
-    sensor::{SensorLaw, Slope},
+    sensor::{SensorLaw, SensorSlope},
     units::{Nanometres, Reading},
 };
 
 use super::*;
-use crate::compile::{CompiledCalibration, DECOMPILED_INPUT};
+use crate::compile::{CompiledCalibration, DECOMPILED_SENSOR_INPUT};
 
 const PAPER: &str = include_str!("../../../../../data/paper_spindle.toml");
 
@@ -33,8 +33,8 @@ fn assert_lines(shown: &DecompiledCalibration, lines: &[&str]) {
 
 #[test]
 fn one_count_of_the_shown_input_is_one_code_exactly() {
-    assert_eq!(DECOMPILED_INPUT.codes_from_counts(1.0), 1.0);
-    assert_eq!(DECOMPILED_INPUT.exact_reading_from_counts(1.0), 1024.0);
+    assert_eq!(DECOMPILED_SENSOR_INPUT.codes_from_counts(1.0), 1.0);
+    assert_eq!(DECOMPILED_SENSOR_INPUT.exact_reading_from_counts(1.0), 1024.0);
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn without_a_source_no_input_is_shown() {
 
 #[test]
 fn a_law_without_a_slope_is_shown_too() {
-    let sensor = SensorLaw { k0: Nanometres(1234), zero: Reading(i32::MIN), slope: Slope(0) };
+    let sensor = SensorLaw { k0: Nanometres(1234), zero: Reading(i32::MIN), slope: SensorSlope(0) };
     let paper = paper_but("", "");
     let mut calibration = paper.calibration();
     calibration.spindle.sensor = sensor;

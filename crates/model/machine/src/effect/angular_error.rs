@@ -21,7 +21,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Tilt, Value,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermContext, TermEntry, Tilt, Value,
         required_axis, required_number,
     },
     data_view::{DataView, StartValues, peak_to_peak, target_positions, uniform_knots},
@@ -31,9 +31,9 @@ use crate::{
         reader::Section,
         term::{ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::{
-        Angle, LinearAxis,
+        AngleProfile, LinearAxis,
         straightness::{SplineKeys, read_spline, spline_entries},
     },
     spline::{BSpline, spline_basis_values},
@@ -47,7 +47,7 @@ pub struct AngularError(Tilt);
 const SPLINE_KEYS: SplineKeys = [ORDER, KNOTS_MM, CONTROL_URAD];
 
 impl AngularError {
-    fn neutral(along: Option<LinearAxis>, lever: LinearAxis, angle: Angle) -> Self {
+    fn neutral(along: Option<LinearAxis>, lever: LinearAxis, angle: AngleProfile) -> Self {
         Self(Tilt { along, lever, origin_mm: 0.0, angle })
     }
 }
@@ -71,13 +71,13 @@ impl FileRepresentation for AngularError {
         }
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         let along =
             has_key(section, ALONG.name).then(|| required_axis(section, ALONG)).transpose()?;
         let angle = if has_key(section, CONTROL_URAD.name) {
-            Angle::Curve(read_spline(section, &SPLINE_KEYS)?)
+            AngleProfile::Curve(read_spline(section, &SPLINE_KEYS)?)
         } else {
-            Angle::Line(required_number(section, URAD_PER_M)?)
+            AngleProfile::Line(required_number(section, URAD_PER_M)?)
         };
         let origin_mm = section.number(ORIGIN_MM.name)?.unwrap_or(0.0);
         Ok(Self(Tilt { along, lever: required_axis(section, LEVER)?, origin_mm, angle }))
@@ -90,14 +90,16 @@ impl FileRepresentation for AngularError {
         entries.push((LEVER.name, Value::Text(lever.name().into())));
         entries.push((ORIGIN_MM.name, Value::Number(*origin_mm)));
         match angle {
-            Angle::Line(urad_per_m) => entries.push((URAD_PER_M.name, Value::Number(*urad_per_m))),
-            Angle::Curve(spline) => entries.extend(spline_entries(spline, &SPLINE_KEYS)),
+            AngleProfile::Line(urad_per_m) => {
+                entries.push((URAD_PER_M.name, Value::Number(*urad_per_m)))
+            }
+            AngleProfile::Curve(spline) => entries.extend(spline_entries(spline, &SPLINE_KEYS)),
         }
         entries
     }
 }
 
-impl Law for AngularError {
+impl PhysicalLaw for AngularError {
     fn target(&self) -> Target {
         Target::Axis
     }
@@ -126,8 +128,8 @@ impl Law for AngularError {
         // µrad times mm are nm.
         let lever_m = (x[0] - nonlinear[0]) / 1000.0;
         match &self.0.angle {
-            Angle::Line(_) => add(0, x[1] / 1000.0 * lever_m),
-            Angle::Curve(spline) => {
+            AngleProfile::Line(_) => add(0, x[1] / 1000.0 * lever_m),
+            AngleProfile::Curve(spline) => {
                 let (first, weights) = spline_basis_values(spline, x[1]);
                 for (number, weight) in weights.into_iter().take(spline.order).enumerate() {
                     add(first + number, weight * lever_m);
@@ -150,8 +152,8 @@ impl BoardRepresentation for AngularError {
 impl Candidate for AngularError {
     fn fit_spec(&self) -> FitSpec {
         let list_length = match &self.0.angle {
-            Angle::Line(_) => None,
-            Angle::Curve(spline) => Some(spline.control_um.len()),
+            AngleProfile::Line(_) => None,
+            AngleProfile::Curve(spline) => Some(spline.control_um.len()),
         };
         let amplitudes = list_length.unwrap_or(1);
         FitSpec {
@@ -166,16 +168,16 @@ impl Candidate for AngularError {
     fn values(&self) -> Vec<f64> {
         let origin = [self.0.origin_mm];
         match &self.0.angle {
-            Angle::Line(urad_per_m) => [origin, [*urad_per_m]].concat(),
-            Angle::Curve(spline) => [&origin, &spline.control_um[..]].concat(),
+            AngleProfile::Line(urad_per_m) => [origin, [*urad_per_m]].concat(),
+            AngleProfile::Curve(spline) => [&origin, &spline.control_um[..]].concat(),
         }
     }
 
     fn set_values(&mut self, values: &[f64]) {
         self.0.origin_mm = values[0];
         match &mut self.0.angle {
-            Angle::Line(urad_per_m) => *urad_per_m = values[1],
-            Angle::Curve(spline) => spline.control_um = values[1..].to_vec(),
+            AngleProfile::Line(urad_per_m) => *urad_per_m = values[1],
+            AngleProfile::Curve(spline) => spline.control_um = values[1..].to_vec(),
         }
     }
 
@@ -184,13 +186,13 @@ impl Candidate for AngularError {
         for &lever in &others {
             let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
             let lever_mm = of(lever).unwrap_or(&[]);
-            let own = survey.own_position().filter(|mm| peak_to_peak(mm) > 0.0);
+            let own = survey.own_position_mm().filter(|mm| peak_to_peak(mm) > 0.0);
             let across = others.iter().filter(|&&axis| axis != lever);
             let across = across.map(|&axis| (Some(axis), of(axis).unwrap_or(&[])));
             for (along, mm) in own.map(|mm| (None, mm)).into_iter().chain(across) {
                 // Of two axes across, c·P·L is the same whichever of them tilts.
                 if along.is_none_or(|axis| axis < lever) {
-                    let angle = Angle::Line(0.0);
+                    let angle = AngleProfile::Line(0.0);
                     with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
                 }
                 let at = target_positions(mm, 1e-3);
@@ -198,7 +200,7 @@ impl Candidate for AngularError {
                     if at.len() >= controls + 2 && survey.group_count() >= 5 * controls {
                         let control_um = vec![0.0; controls];
                         let knots_mm = uniform_knots(&at, controls);
-                        let angle = Angle::Curve(BSpline { order: 4, knots_mm, control_um });
+                        let angle = AngleProfile::Curve(BSpline { order: 4, knots_mm, control_um });
                         with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
                     }
                 }
@@ -215,12 +217,12 @@ impl Explanation for AngularError {
             .map_or("The axis".into(), |axis| format!("The {} axis", axis.name().to_uppercase()));
         let lever = self.0.lever.name().to_uppercase();
         match &self.0.angle {
-            Angle::Line(_) => format!(
+            AngleProfile::Line(_) => format!(
                 "{tilts} tilts by {:+.2} µrad for each metre; the error is that angle times the \
                  lever along {lever}.",
                 values[1]
             ),
-            Angle::Curve(_) => format!(
+            AngleProfile::Curve(_) => format!(
                 "{tilts} tilts by up to {:.1} µrad as it goes; the error is that angle times the \
                  lever along {lever}.",
                 values[1..].iter().fold(0.0_f64, |most, urad| most.max(urad.abs()))
@@ -235,8 +237,8 @@ impl Explanation for AngularError {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let mut parameters = match &self.0.angle {
-            Angle::Line(_) => vec![Parameter::Fitted("urad_per_m", 1, 0.0)],
-            Angle::Curve(_) => {
+            AngleProfile::Line(_) => vec![Parameter::Fitted("urad_per_m", 1, 0.0)],
+            AngleProfile::Curve(_) => {
                 let mut fitted = self.clone();
                 fitted.set_values(values);
                 let of_spline = |name: &str| SPLINE_KEYS.iter().any(|key| key.name == name);

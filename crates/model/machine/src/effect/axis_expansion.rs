@@ -17,9 +17,10 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Value, format_duration,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value,
+        format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
+    data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     heat,
 };
 use crate::{
@@ -28,7 +29,7 @@ use crate::{
         table::{Table, entries, table},
         term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::{ThermalLaw, ThermalMode},
 };
 
@@ -37,7 +38,7 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct AxisExpansion {
         /// The column of T, `temp_<name>_c`.
-        column: String = COLUMN.with_form(Column).required();
+        column: String = COLUMN.with_value_type(Column).required();
         /// c, in µm/(m·K); positive where the warm axis goes too far.
         um_per_m_per_c: f64 = UM_PER_M_PER_C.required();
         /// τ in s; 0: no lag.
@@ -68,7 +69,7 @@ impl FileRepresentation for AxisExpansion {
         Self::NAMES
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Table::read(section)
     }
 
@@ -77,7 +78,7 @@ impl FileRepresentation for AxisExpansion {
     }
 }
 
-impl Law for AxisExpansion {
+impl PhysicalLaw for AxisExpansion {
     fn target(&self) -> Target {
         Target::Axis
     }
@@ -152,22 +153,22 @@ impl Candidate for AxisExpansion {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let is_open = survey.thermal_law().is_none()
             && !survey.has_cause(Self::NAME)
-            && survey.own_axis_moves();
-        let Some(position_mm) = survey.own_position().filter(|_| is_open) else { return };
+            && survey.has_own_axis_moved();
+        let Some(position_mm) = survey.own_position_mm().filter(|_| is_open) else { return };
         let there = position_mm.iter().copied().filter(|mm| mm.is_finite());
         let [low, high] = there.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], mm| {
             [low.min(mm), high.max(mm)]
         });
-        for (column, _) in heat::candidate_columns(survey) {
+        for (column, _) in heat::candidate_temperature_columns(survey) {
             let neutral = |time_constant_s: f64| Self {
                 column: column.into(),
                 um_per_m_per_c: 0.0,
                 time_constant_s,
-                reference_c: survey.reference_c(column),
+                reference_c: survey.reference_temperature_c(column),
                 origin_mm: (low + high) / 2.0,
             };
             with(neutral(0.0), StartValues::empty());
-            with(neutral(1.0), survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+            with(neutral(1.0), survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::{
         table::table,
         term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
     },
-    sections::{Angle, LinearAxis, PitchErrorTable, ThermalLaw},
+    sections::{AngleProfile, LinearAxis, PitchErrorTable, ThermalLaw},
     spline::BSpline,
 };
 
@@ -111,7 +111,7 @@ pub struct Tilt {
     /// L₀ in mm.
     pub origin_mm: f64,
     /// θ.
-    pub angle: Angle,
+    pub angle: AngleProfile,
 }
 
 table! {
@@ -119,7 +119,7 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct TemperatureResponse {
         /// T: a column `temp_<name>_c`.
-        column: String = COLUMN.with_form(Column).required();
+        column: String = COLUMN.with_value_type(Column).required();
         /// c, in µm/K.
         um_per_c: f64 = UM_PER_C.required();
         /// τ in s; 0: no lag.

@@ -24,7 +24,7 @@ use trueup_core::term::SpeedExponent;
 use super::data_view::{DataView, StartValues};
 use crate::{
     keys::{key::Key, range::PlausibleRange, reader::Section, table::read_or_default},
-    location::BadInput,
+    location::InputFileError,
     sections::{LinearAxis, PitchErrorTable, Spindle, ThermalLaw},
 };
 
@@ -185,7 +185,7 @@ impl TermContext<'_> {
     }
 
     /// Why no constant of the axis's thermal law can be corrected, if none can.
-    pub(crate) fn thermal_constant_refusal(&self) -> Option<String> {
+    pub(crate) fn thermal_constant_rejection_reason(&self) -> Option<String> {
         match self.thermal {
             None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
             Some(thermal) if thermal.table.is_some() => {
@@ -240,7 +240,7 @@ pub(crate) trait FileRepresentation: Sized {
     fn keys(section: &Section<'_>) -> &'static [&'static str];
 
     /// Returns what stands in `section`, whose keys are known.
-    fn read(section: &Section<'_>) -> Result<Self, BadInput>;
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError>;
 
     /// Its keys in a `[[term]]`.
     fn entries(&self) -> Vec<TermEntry>;
@@ -252,7 +252,7 @@ pub(crate) trait FileRepresentation: Sized {
 }
 
 /// The physics of a cause: what prediction and fit use.
-pub trait Law {
+pub trait PhysicalLaw {
     /// Whose error it can be.
     fn target(&self) -> Target;
 
@@ -316,7 +316,7 @@ pub trait BoardRepresentation {
     }
 
     /// Its temperature's part in the prediction, with the reference.
-    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+    fn temperature_response_mut(&mut self) -> Option<&mut TemperatureResponse> {
         None
     }
 
@@ -392,7 +392,7 @@ pub trait Explanation {
 }
 
 /// A cause with its numbers, as all of its readers see it.
-pub trait CauseSpec: Law + BoardRepresentation + Candidate + Explanation {
+pub trait CauseSpec: PhysicalLaw + BoardRepresentation + Candidate + Explanation {
     /// Returns [`FitSpec::tier`].
     fn tier(&self) -> u8 {
         self.fit_spec().tier
@@ -434,20 +434,20 @@ pub trait CauseSpec: Law + BoardRepresentation + Candidate + Explanation {
     }
 }
 
-impl<T: Law + BoardRepresentation + Candidate + Explanation> CauseSpec for T {}
+impl<T: PhysicalLaw + BoardRepresentation + Candidate + Explanation> CauseSpec for T {}
 
 /// Returns a number that must be there.
-pub(crate) fn required_number(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
+pub(crate) fn required_number(section: &Section<'_>, key: Key) -> Result<f64, InputFileError> {
     section.required(key.name, section.number(key.name)?)
 }
 
 /// Returns a number above 0 that must be there.
-pub(crate) fn required_positive(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
-    section.required(key.name, section.positive(key.name)?)
+pub(crate) fn required_positive(section: &Section<'_>, key: Key) -> Result<f64, InputFileError> {
+    section.required(key.name, section.positive_number(key.name)?)
 }
 
 /// Returns an axis that must be there.
-pub(crate) fn required_axis(section: &Section<'_>, key: Key) -> Result<LinearAxis, BadInput> {
+pub(crate) fn required_axis(section: &Section<'_>, key: Key) -> Result<LinearAxis, InputFileError> {
     read_or_default(section, &key.required())
 }
 

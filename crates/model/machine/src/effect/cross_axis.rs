@@ -7,7 +7,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Parameter, Target, TermContext, TermEntry, Value,
+        Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value,
     },
     data_view::{DataView, StartValues},
 };
@@ -17,7 +17,7 @@ use crate::{
         table::{Table, entries, table},
         term::{AXIS, UM_PER_M},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -39,7 +39,7 @@ impl FileRepresentation for CrossAxis {
         &[UM_PER_M.name, AXIS.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Table::read(section)
     }
 
@@ -48,7 +48,7 @@ impl FileRepresentation for CrossAxis {
     }
 }
 
-impl Law for CrossAxis {
+impl PhysicalLaw for CrossAxis {
     fn target(&self) -> Target {
         Target::Axis
     }

@@ -7,10 +7,10 @@ use super::quantity::Quantity;
 use crate::sections::{AxisModel, ElongationSource, Feedback, LinearAxis, Spindle, ThermalLaw};
 
 /// Trials of a time constant.
-pub(crate) const TIME_CONSTANT_COUNT: usize = 12;
+pub(crate) const TIME_CONSTANT_GRID_POINTS: usize = 12;
 /// The same where a constant is corrected by a factor: the next point of a coarse grid may be worse
 /// than none.
-pub(crate) const FINE_TIME_CONSTANT_COUNT: usize = 3 * TIME_CONSTANT_COUNT;
+pub(crate) const FINE_TIME_CONSTANT_GRID_POINTS: usize = 3 * TIME_CONSTANT_GRID_POINTS;
 
 /// Nonlinear values to begin from; one empty list where there are none.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,19 +61,19 @@ pub trait DataView {
     /// Returns the elongation by the source's own law, without terms, in µm.
     fn source_elongation_um(&self) -> &[f64];
     /// Returns the spread of what the machine file predicts, in µm; at least 0.
-    fn predicted_peak_to_peak(&self) -> f64;
+    fn predicted_peak_to_peak_um(&self) -> f64;
     /// Returns a column of the run by its name.
     fn column(&self, name: &str) -> Option<&[f64]>;
     /// Returns the names of the temperatures.
-    fn temperatures(&self) -> Vec<&str>;
+    fn temperature_columns(&self) -> Vec<&str>;
     /// Returns the names of the columns that this project does not know.
     fn unknown_columns(&self) -> Vec<&str>;
     /// Returns the position of the own axis.
-    fn own_position(&self) -> Option<&[f64]>;
+    fn own_position_mm(&self) -> Option<&[f64]>;
     /// Returns whether the own axis was approached from both sides.
     fn is_bidirectional(&self) -> bool;
     /// Returns whether the model goes by this temperature already.
-    fn is_in_use(&self, column: &str) -> bool;
+    fn is_column_in_use(&self, column: &str) -> bool;
     /// Returns whether the model has a cause of this name already.
     fn has_cause(&self, cause: &str) -> bool;
     /// Returns whether the model has added a cause of this name to what the machine file says.
@@ -83,7 +83,7 @@ pub trait DataView {
     /// Returns whether the model has a zero of its own.
     fn has_constant(&self) -> bool;
     /// Returns the temperature that a term on `column` is counted from, in °C.
-    fn reference_c(&self, column: &str) -> f64;
+    fn reference_temperature_c(&self, column: &str) -> f64;
     /// Returns the time that a term in time is counted from, in s.
     fn time_origin_s(&self) -> f64;
     /// Returns the first and the last time of the record, in s; `None` without a clock.
@@ -102,19 +102,19 @@ pub trait DataView {
     fn time_shift_start_values(&self) -> StartValues;
     /// Returns how late a thermometer may be for the record to show it, in s, in equal ratios from the spacing of
     /// the rows; none without a clock.
-    fn delay_start_values(&self) -> StartValues;
+    fn thermometer_lag_start_values(&self) -> StartValues;
     /// Returns the longest period that the travel can show, in mm.
     fn longest_period_mm(&self) -> f64;
     /// Returns the period of the strongest wave in what is left, if it turns so often over the whole length;
     /// at most `frequencies` are looked at.
-    fn spectrum_peak(
+    fn spectrum_peak_start_values(
         &self,
         over: SpectrumVariable<'_>,
         least_turns: f64,
         frequencies: usize,
     ) -> Option<StartValues>;
     /// C and P₀ of the strongest wave of C/(P + P₀).
-    fn angled_spectrum_peak(&self, over: SpectrumVariable<'_>) -> Option<StartValues>;
+    fn reciprocal_wave_start_values(&self, over: SpectrumVariable<'_>) -> Option<StartValues>;
 
     /// Returns what is believed of the own axis's growth.
     fn thermal_law(&self) -> Option<&ThermalLaw> {
@@ -143,20 +143,20 @@ impl dyn DataView + '_ {
 
     /// Returns whether a column is there and not always the same.
     #[must_use]
-    pub fn varies(&self, column: &str) -> bool {
+    pub fn is_varying(&self, column: &str) -> bool {
         self.column(column).is_some_and(|values| peak_to_peak(values) > 0.0)
     }
 
     /// Returns whether the own axis has moved.
     #[must_use]
-    pub(crate) fn own_axis_moves(&self) -> bool {
-        self.own_position().is_some_and(|mm| peak_to_peak(mm) > 0.0)
+    pub(crate) fn has_own_axis_moved(&self) -> bool {
+        self.own_position_mm().is_some_and(|mm| peak_to_peak(mm) > 0.0)
     }
 
     /// Returns whether the own axis has a thermal law whose thermometer has moved.
     #[must_use]
     pub(crate) fn active_thermal_law(&self) -> Option<&ThermalLaw> {
-        self.thermal_law().filter(|thermal| self.varies(&thermal.sensor))
+        self.thermal_law().filter(|thermal| self.is_varying(&thermal.sensor))
     }
 
     /// Returns the lag that is believed between the thermometer and the growth by it, in s; `None` where no
@@ -177,7 +177,9 @@ impl dyn DataView + '_ {
     pub(crate) fn other_moving_axes(&self) -> Vec<LinearAxis> {
         let Some(own) = self.quantity().axis() else { return Vec::new() };
         let others = LinearAxis::ALL.into_iter();
-        others.filter(|&axis| axis != own && self.varies(&format!("{}_mm", axis.name()))).collect()
+        others
+            .filter(|&axis| axis != own && self.is_varying(&format!("{}_mm", axis.name())))
+            .collect()
     }
 }
 

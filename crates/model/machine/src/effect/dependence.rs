@@ -17,21 +17,22 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Multiplier, NonlinearParameter, Parameter, Target, TermEntry, Value, format_duration,
+        Multiplier, NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
+        format_duration,
     },
     data_view::{DataView, StartValues},
 };
 use crate::{
     keys::{
-        range::{PlausibleRange, USER_UNIT},
+        range::{PlausibleRange, USER_UNIT_RANGE},
         reader::{Section, is_temperature_column},
         term::{
             AT, COLUMN, CONSTANT_UM, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS,
             REFERENCE, TIMES, TIMES_REFERENCE,
         },
     },
-    location::BadInput,
-    sections::{LinearAxis, Tools},
+    location::InputFileError,
+    sections::{LinearAxis, ToolGrowthList},
     tool::TOOL_COLUMN,
 };
 use column_values::SWITCH_LEVELS;
@@ -145,7 +146,7 @@ impl Dependence {
     }
 
     /// Returns what is read of a column that it depends on.
-    fn input_of_column<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
+    fn column_input<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
         match (column, lag_s) {
             (SPEED_COLUMN, _) => Input::Speed,
             (LOAD_COLUMN, _) => Input::Load,
@@ -157,10 +158,10 @@ impl Dependence {
 
     /// Puts the numbers of `[spindle.tools]` in the place of labels: a term that was found before its label had a number
     /// holds for that tool from then on.
-    pub(crate) fn resolve_tool_labels(&mut self, tools: &Tools) {
+    pub(crate) fn resolve_tool_labels(&mut self, tools: &ToolGrowthList) {
         let DependenceForm::Level { levels, .. } = &mut self.form else { return };
         for level in levels.iter_mut().filter(|_| self.column == TOOL_COLUMN) {
-            let numbered = tools.label_codes().find(|(code, _)| code == level);
+            let numbered = tools.numbered_label_codes().find(|(code, _)| code == level);
             *level = numbered.map_or(*level, |(_, number)| number.into());
         }
     }
@@ -188,14 +189,14 @@ impl FileRepresentation for Dependence {
     const NAME: &'static str = "dependence";
 
     fn own_range(key: &str) -> Option<PlausibleRange> {
-        (key == CONSTANT_UM.name).then_some(USER_UNIT)
+        (key == CONSTANT_UM.name).then_some(USER_UNIT_RANGE)
     }
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
         reader::KEYS
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         read(section)
     }
 
@@ -238,7 +239,7 @@ impl FileRepresentation for Dependence {
     }
 }
 
-impl Law for Dependence {
+impl PhysicalLaw for Dependence {
     fn target(&self) -> Target {
         match self.times {
             Multiplier::Growth => Target::Elongation,
@@ -253,11 +254,8 @@ impl Law for Dependence {
             _ => 0.0,
         };
         let columns = [Some(&self.column), self.minus.as_ref()];
-        let mut inputs: Vec<Input<'_>> = columns
-            .into_iter()
-            .flatten()
-            .map(|column| self.input_of_column(column, lag_s))
-            .collect();
+        let mut inputs: Vec<Input<'_>> =
+            columns.into_iter().flatten().map(|column| self.column_input(column, lag_s)).collect();
         inputs.extend(self.times.input());
         inputs
     }

@@ -9,8 +9,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
-        Parameter, Target, TermEntry, Value, required_number,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Parameter,
+        PhysicalLaw, Target, TermEntry, Value, required_number,
     },
     data_view::{DataView, StartValues, target_positions},
 };
@@ -19,7 +19,7 @@ use crate::{
         reader::Section,
         term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// A slope of the time, or from run to run.
@@ -62,7 +62,7 @@ impl FileRepresentation for Drift {
         }
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(match section.number(UM_PER_RUN.name)? {
             Some(um_per_run) => {
                 let reference_run = section.number(REFERENCE_RUN.name)?.unwrap_or(0.0);
@@ -84,7 +84,7 @@ impl FileRepresentation for Drift {
     }
 }
 
-impl Law for Drift {
+impl PhysicalLaw for Drift {
     fn target(&self) -> Target {
         Target::Any
     }

@@ -10,10 +10,10 @@ use trueup_core::term::SpeedExponent;
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
-        HeatPath, Input, Law, NonlinearParameter, Parameter, SpeedHeatResponse, Target,
+        HeatPath, Input, NonlinearParameter, Parameter, PhysicalLaw, SpeedHeatResponse, Target,
         TemperatureResponse, TermEntry, Value, format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
+    data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     dependence::SPEED_COLUMN,
     heat,
 };
@@ -24,12 +24,12 @@ use crate::{
         table::{Table, entries, read_or_default},
         term::{COLUMN, INPUT, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C, UM_PER_KRPM, UM_PER_KRPM2},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::{ElongationSource, LinearAxis},
 };
 
 /// The powers of the speed: the value of `input`, and the key of c.
-const SPEED_POWERS: [(SpeedExponent, &str, Key); 2] =
+const SPEED_EXPONENTS: [(SpeedExponent, &str, Key); 2] =
     [(SpeedExponent::Second, "speed2", UM_PER_KRPM2), (SpeedExponent::First, "speed", UM_PER_KRPM)];
 
 /// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). A faster
@@ -67,33 +67,33 @@ impl ExtraHeatPath {
     fn amplitude_key(&self) -> &'static str {
         match self {
             Self::OfTemperature(_) => UM_PER_C.name,
-            Self::OfSpeed(heat) => input_and_key(heat.power)[1],
+            Self::OfSpeed(heat) => input_name_and_key(heat.power)[1],
         }
     }
 }
 
 /// Returns the value of `input` and the key of c.
-fn input_and_key(power: SpeedExponent) -> [&'static str; 2] {
-    let of_it = SPEED_POWERS.into_iter().filter(|(there, ..)| *there == power);
+fn input_name_and_key(power: SpeedExponent) -> [&'static str; 2] {
+    let of_it = SPEED_EXPONENTS.into_iter().filter(|(there, ..)| *there == power);
     of_it.fold([""; 2], |_, (_, input, key)| [input, key.name])
 }
 
 /// Returns the power of the speed that `section` is about: by `input`, else by the key of c.
-fn speed_power(section: &Section<'_>) -> SpeedExponent {
+fn speed_exponent(section: &Section<'_>) -> SpeedExponent {
     let input = section.text(INPUT.name).ok().flatten();
     let keys = section.keys();
     let is_it = |(_, name, key): &(SpeedExponent, &str, Key)| match input {
         Some(input) => input == *name,
         None => keys.contains(&key.name),
     };
-    SPEED_POWERS.into_iter().find(is_it).map_or(SpeedExponent::Second, |(power, ..)| power)
+    SPEED_EXPONENTS.into_iter().find(is_it).map_or(SpeedExponent::Second, |(power, ..)| power)
 }
 
 /// Returns whether `section` is about the speed.
 fn is_speed_driven(section: &Section<'_>) -> bool {
     let keys = section.keys();
     let is_own = |key: &&str| {
-        *key == INPUT.name || SPEED_POWERS.iter().any(|(.., amplitude)| *key == amplitude.name)
+        *key == INPUT.name || SPEED_EXPONENTS.iter().any(|(.., amplitude)| *key == amplitude.name)
     };
     keys.iter().any(is_own)
         || section.text(COLUMN.name).is_ok_and(|column| column == Some(SPEED_COLUMN))
@@ -103,7 +103,7 @@ impl FileRepresentation for ExtraHeatPath {
     const NAME: &'static str = "extra-heat-path";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        match (is_speed_driven(section), speed_power(section)) {
+        match (is_speed_driven(section), speed_exponent(section)) {
             (false, _) => &[COLUMN.name, UM_PER_C.name, TIME_CONSTANT_S.name, REFERENCE_C.name],
             (_, SpeedExponent::First) => {
                 &[COLUMN.name, INPUT.name, UM_PER_KRPM.name, TIME_CONSTANT_S.name]
@@ -114,7 +114,7 @@ impl FileRepresentation for ExtraHeatPath {
         }
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         if !is_speed_driven(section) {
             return TemperatureResponse::read(section).map(Self::OfTemperature);
         }
@@ -123,9 +123,9 @@ impl FileRepresentation for ExtraHeatPath {
                 section.key_error(COLUMN.name, "must be \"spindle_rpm\" where the speed heats")
             );
         }
-        let choices = SPEED_POWERS.map(|(power, input, _)| (input, power));
-        let power = section.choice(INPUT.name, &choices)?.unwrap_or(speed_power(section));
-        let [_, key] = input_and_key(power);
+        let choices = SPEED_EXPONENTS.map(|(power, input, _)| (input, power));
+        let power = section.choice(INPUT.name, &choices)?.unwrap_or(speed_exponent(section));
+        let [_, key] = input_name_and_key(power);
         Ok(Self::OfSpeed(SpeedHeatResponse {
             power,
             um_per_unit: section.required(key, section.number(key)?)?,
@@ -137,7 +137,7 @@ impl FileRepresentation for ExtraHeatPath {
         match self {
             Self::OfTemperature(heat) => entries(heat),
             Self::OfSpeed(heat) => {
-                let [input, key] = input_and_key(heat.power);
+                let [input, key] = input_name_and_key(heat.power);
                 vec![
                     (COLUMN.name, Value::Text(SPEED_COLUMN.into())),
                     (INPUT.name, Value::Text(input.into())),
@@ -149,7 +149,7 @@ impl FileRepresentation for ExtraHeatPath {
     }
 }
 
-impl Law for ExtraHeatPath {
+impl PhysicalLaw for ExtraHeatPath {
     fn target(&self) -> Target {
         Target::Heat
     }
@@ -181,7 +181,7 @@ impl BoardRepresentation for ExtraHeatPath {
         }]
     }
 
-    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+    fn temperature_response_mut(&mut self) -> Option<&mut TemperatureResponse> {
         match self {
             Self::OfTemperature(heat) => Some(heat),
             Self::OfSpeed(_) => None,
@@ -237,20 +237,21 @@ impl Candidate for ExtraHeatPath {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in
-            heat::candidate_columns(survey).into_iter().filter(|(_, is_in_use)| !is_in_use)
+        for (column, _) in heat::candidate_temperature_columns(survey)
+            .into_iter()
+            .filter(|(_, is_in_use)| !is_in_use)
         {
             let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
             with(of(false), StartValues::empty());
-            with(of(true), survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+            with(of(true), survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
         // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.
         let is_model =
             survey.has_elongation() && survey.elongation_source() == Some(ElongationSource::Warmup);
-        if survey.varies(SPEED_COLUMN) && !survey.is_in_use(SPEED_COLUMN) && !is_model {
-            let mut slow = survey.time_constant_start_values(TIME_CONSTANT_COUNT);
+        if survey.is_varying(SPEED_COLUMN) && !survey.is_column_in_use(SPEED_COLUMN) && !is_model {
+            let mut slow = survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS);
             slow.starts.retain(|start| start[0] >= MIN_TIME_CONSTANT_S);
-            for (power, ..) in SPEED_POWERS {
+            for (power, ..) in SPEED_EXPONENTS {
                 let neutral = SpeedHeatResponse { power, um_per_unit: 0.0, time_constant_s: 1.0 };
                 with(Self::OfSpeed(neutral), slow.clone());
             }
@@ -309,7 +310,10 @@ impl Explanation for ExtraHeatPath {
         };
         let mut all = vec![amplitude, time_constant];
         if let Self::OfSpeed(heat) = self {
-            all.push(Parameter::Said("input", Value::Text(input_and_key(heat.power)[0].into())));
+            all.push(Parameter::Said(
+                "input",
+                Value::Text(input_name_and_key(heat.power)[0].into()),
+            ));
         }
         all
     }

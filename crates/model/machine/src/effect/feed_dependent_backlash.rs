@@ -13,7 +13,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Parameter, Target, TermEntry, Value,
+        Parameter, PhysicalLaw, Target, TermEntry, Value,
     },
     data_view::{DataView, StartValues},
 };
@@ -22,15 +22,15 @@ use crate::{
         reader::Section,
         term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM},
     },
-    location::BadInput,
-    sections::axis::is_reverse,
+    location::InputFileError,
+    sections::axis::is_negative_direction,
 };
 
 /// The column of the feed, in mm/min.
 pub(crate) const FEED_COLUMN: &str = "feed_mm_per_min";
 
 /// Feeds that differ by less are one: the share by which an override knob steps.
-const FEED_TOLERANCE_SHARE: f64 = 0.01;
+const RELATIVE_FEED_TOLERANCE: f64 = 0.01;
 
 /// More feeds than a person would set are a feed that varies; it is followed at this many.
 const MAX_FEEDS: usize = 6;
@@ -77,7 +77,7 @@ impl FileRepresentation for FeedDependentBacklash {
         &[FEEDS_MM_PER_MIN.name, WIDTH_UM.name, AT_FEED_MM_PER_MIN.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         let key = FEEDS_MM_PER_MIN.name;
         let feeds_mm_per_min = section.required(key, section.numbers(key)?)?;
         let is_rising = feeds_mm_per_min.windows(2).all(|pair| pair[0] < pair[1]);
@@ -90,7 +90,7 @@ impl FileRepresentation for FeedDependentBacklash {
                 section.key_error(WIDTH_UM.name, "takes a width for each of feeds_mm_per_min")
             );
         }
-        let at_feed_mm_per_min = section.positive(AT_FEED_MM_PER_MIN.name)?;
+        let at_feed_mm_per_min = section.positive_number(AT_FEED_MM_PER_MIN.name)?;
         let at_feed_mm_per_min = at_feed_mm_per_min.unwrap_or(feeds_mm_per_min[0]);
         Ok(Self { feeds_mm_per_min, width_um, at_feed_mm_per_min })
     }
@@ -104,7 +104,7 @@ impl FileRepresentation for FeedDependentBacklash {
     }
 }
 
-impl Law for FeedDependentBacklash {
+impl PhysicalLaw for FeedDependentBacklash {
     fn target(&self) -> Target {
         Target::Axis
     }
@@ -114,7 +114,7 @@ impl Law for FeedDependentBacklash {
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        if is_reverse(x[1]) {
+        if is_negative_direction(x[1]) {
             let feed = if x[0].is_finite() { x[0] } else { self.at_feed_mm_per_min };
             let (low, high, share) = self.bracketing_feeds(feed);
             add(low, 1.0 - share);
@@ -145,7 +145,7 @@ impl Candidate for FeedDependentBacklash {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         // It has room for a backlash, so that the two are never both there.
         let is_open =
-            survey.own_axis_moves() && survey.is_bidirectional() && survey.has_screw_feedback();
+            survey.has_own_axis_moved() && survey.is_bidirectional() && survey.has_screw_feedback();
         if !is_open
             || survey.has_added_cause(super::Backlash::NAME)
             || survey.has_added_cause(Self::NAME)
@@ -206,7 +206,7 @@ fn find_feeds(column: &[f64]) -> Vec<f64> {
     sorted.sort_by(f64::total_cmp);
     let mut set: Vec<f64> = Vec::new();
     for &feed in &sorted {
-        if set.last().is_none_or(|last| feed / last - 1.0 > FEED_TOLERANCE_SHARE) {
+        if set.last().is_none_or(|last| feed / last - 1.0 > RELATIVE_FEED_TOLERANCE) {
             set.push(feed);
         }
     }
@@ -215,7 +215,7 @@ fn find_feeds(column: &[f64]) -> Vec<f64> {
     }
     let at = |n: usize| sorted[n * (sorted.len() - 1) / (MAX_FEEDS - 1)];
     let mut some: Vec<f64> = (0..MAX_FEEDS).map(at).collect();
-    some.dedup_by(|b, a| *b / *a - 1.0 <= FEED_TOLERANCE_SHARE);
+    some.dedup_by(|b, a| *b / *a - 1.0 <= RELATIVE_FEED_TOLERANCE);
     some
 }
 

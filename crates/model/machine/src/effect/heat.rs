@@ -16,7 +16,7 @@ pub(crate) fn neutral(survey: &dyn DataView, column: &str, has_lag: bool) -> Tem
         column: column.into(),
         um_per_c: 0.0,
         time_constant_s: if has_lag { 1.0 } else { 0.0 },
-        reference_c: survey.reference_c(column),
+        reference_c: survey.reference_temperature_c(column),
     }
 }
 
@@ -31,11 +31,11 @@ pub(crate) fn sensor_temperature_column(survey: &dyn DataView) -> Option<&str> {
 
 /// Returns the temperatures that may move what is measured, and whether the model goes by them already.
 /// Heat is looked for where something grows: in a spindle, or in an axis.
-pub(crate) fn candidate_columns(survey: &dyn DataView) -> Vec<(&str, bool)> {
+pub(crate) fn candidate_temperature_columns(survey: &dyn DataView) -> Vec<(&str, bool)> {
     let of_sensor = sensor_temperature_column(survey);
-    let columns = survey.temperatures().into_iter();
+    let columns = survey.temperature_columns().into_iter();
     columns
-        .filter(|column| survey.varies(column) && of_sensor != Some(column))
-        .map(|column| (column, survey.is_in_use(column)))
+        .filter(|column| survey.is_varying(column) && of_sensor != Some(column))
+        .map(|column| (column, survey.is_column_in_use(column)))
         .collect()
 }

@@ -62,7 +62,7 @@ use std::ops::{Deref, DerefMut};
 pub use board_term::relative_heat_input;
 pub use cause_spec::{
     BoardRepresentation, BoardTerm, Candidate, CauseSpec, DelayKind, Explanation, FitSpec,
-    HeatPath, Input, Law, ModelConstants, Multiplier, NonlinearParameter, Parameter,
+    HeatPath, Input, ModelConstants, Multiplier, NonlinearParameter, Parameter, PhysicalLaw,
     PredictionStage, SpeedHeatResponse, Target, TemperatureResponse, TermContext, TermEntry,
     ThermometerDelay, Tilt, Value,
 };
@@ -71,14 +71,14 @@ pub use dependence::DependenceForm;
 pub use law::ColumnSource;
 pub use periodic_in_time::MIN_READINGS_PER_PERIOD;
 pub use quantity::Quantity;
-pub use range_limited::{RangeLimited, Side};
+pub use range_limited::{BoundSide, RangeLimited};
 pub use reference_instrument::WaveVariable;
 pub use trueup_core::term::SpeedExponent;
 pub use wave::Wave;
 
 use crate::{
     keys::{range::PlausibleRange, reader::Section},
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 use cause_spec::FileRepresentation;
@@ -122,7 +122,7 @@ macro_rules! causes {
             }
 
             /// This cause as it stands in `section`, whose keys are known.
-            pub(crate) fn read(self, section: &Section<'_>) -> Result<Effect, BadInput> {
+            pub(crate) fn read(self, section: &Section<'_>) -> Result<Effect, InputFileError> {
                 Ok(match self { $(Self::$CauseSpec => Effect::$CauseSpec($CauseSpec::read(section)?),)* })
             }
 
@@ -287,7 +287,7 @@ impl Effect {
     }
 
     /// Why it cannot be a cause there, if it cannot: the rule, with its name.
-    pub(crate) fn refusal_reason(&self, host: &TermContext<'_>) -> Option<String> {
+    pub(crate) fn rejection_reason(&self, host: &TermContext<'_>) -> Option<String> {
         let elsewhere = match (self.target(), host.quantity.axis()) {
             (Target::Axis, None) => Some("belongs to dx, dy or dz"),
             (Target::Elongation, Some(_)) => Some("belongs to the elongation"),
@@ -438,14 +438,15 @@ impl Effect {
 
     /// Returns whether it is a wave of a period that is fitted.
     #[must_use]
-    pub fn is_wave(&self) -> bool {
+    pub fn has_spatial_period(&self) -> bool {
         self.nonlinear_parameters().contains(&NonlinearParameter::Period)
     }
 
     /// Returns whether its amplitudes are the sines and cosines of waves, whose sizes and phases are reported.
     #[must_use]
     pub fn has_phase(&self) -> bool {
-        self.is_wave() || self.nonlinear_parameters().contains(&NonlinearParameter::TimePeriod)
+        self.has_spatial_period()
+            || self.nonlinear_parameters().contains(&NonlinearParameter::TimePeriod)
     }
 
     /// Returns whether its first value is a time constant.

@@ -1,8 +1,8 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are excluded.
 
 use super::cause_spec::{
-    BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
-    Parameter, Target, TermEntry,
+    BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Parameter,
+    PhysicalLaw, Target, TermEntry,
 };
 use crate::{
     keys::{
@@ -10,7 +10,7 @@ use crate::{
         table::{Table, entries, table},
         term::FRACTION,
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 table! {
@@ -29,7 +29,7 @@ impl FileRepresentation for Outliers {
         Self::NAMES
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Table::read(section)
     }
 
@@ -38,7 +38,7 @@ impl FileRepresentation for Outliers {
     }
 }
 
-impl Law for Outliers {
+impl PhysicalLaw for Outliers {
     fn target(&self) -> Target {
         Target::Any
     }

@@ -11,8 +11,8 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
-        NonlinearParameter, Parameter, Target, TermEntry, Value, required_number,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value, required_number,
         required_positive,
     },
     data_view::{DataView, SpectrumVariable, StartValues},
@@ -23,7 +23,7 @@ use crate::{
         reader::Section,
         term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
@@ -53,7 +53,7 @@ impl FileRepresentation for PeriodicInTime {
         &[PERIOD_S.name, AMPLITUDE_UM.name, PHASE_DEG.name, START_S.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(Self {
             period_s: required_positive(section, PERIOD_S)?,
             start_s: section.number(START_S.name)?.unwrap_or(0.0),
@@ -75,7 +75,7 @@ impl FileRepresentation for PeriodicInTime {
     }
 }
 
-impl Law for PeriodicInTime {
+impl PhysicalLaw for PeriodicInTime {
     fn target(&self) -> Target {
         Target::Any
     }
@@ -120,14 +120,14 @@ impl Candidate for PeriodicInTime {
         const FREQUENCY_COUNT: usize = 8000;
         /// A wave of fewer turns is a slow law of something else.
         const MIN_CYCLES: f64 = 3.0;
-        const MIN_GROUPS_FITTED: usize = 40;
+        const MIN_FITTED_GROUPS: usize = 40;
         let Some([first_s, last_s]) = survey.time_range_s() else { return };
-        if survey.group_count() < MIN_GROUPS_FITTED || survey.file_count() > 1 {
+        if survey.group_count() < MIN_FITTED_GROUPS || survey.file_count() > 1 {
             return;
         }
         let shortest_s = MIN_READINGS_PER_PERIOD * (last_s - first_s) / survey.group_count() as f64;
         if let Some(peak) =
-            survey.spectrum_peak(SpectrumVariable::Time, MIN_CYCLES, FREQUENCY_COUNT)
+            survey.spectrum_peak_start_values(SpectrumVariable::Time, MIN_CYCLES, FREQUENCY_COUNT)
             && peak.starts[0][0] >= shortest_s
             && !correlates_with_input(survey, peak.starts[0][0])
         {
@@ -171,7 +171,7 @@ impl Explanation for PeriodicInTime {
 /// shows apart: a law of that input that changes in the record has such periods next to the input's own.
 fn correlates_with_input(survey: &dyn DataView, period_s: f64) -> bool {
     /// Share of an input's squares that is of this period.
-    const MIN_VARIANCE_SHARE: f64 = 0.25;
+    const MIN_VARIANCE_FRACTION: f64 = 0.25;
     /// Turns in the record, more and fewer.
     const CYCLE_OFFSETS: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
     let (Some(time_s), Some([first_s, last_s])) = (survey.column("time_s"), survey.time_range_s())
@@ -181,14 +181,17 @@ fn correlates_with_input(survey: &dyn DataView, period_s: f64) -> bool {
     let near = |turns: f64| 1.0 / (1.0 / period_s + turns / (last_s - first_s));
     let periods: Vec<f64> = CYCLE_OFFSETS.map(near).into_iter().filter(|s| *s > 0.0).collect();
     let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"];
-    let names = survey.temperatures().into_iter().chain(survey.unknown_columns()).chain(known);
+    let names =
+        survey.temperature_columns().into_iter().chain(survey.unknown_columns()).chain(known);
     names.filter_map(|name| survey.column(name)).any(|values| {
-        periods.iter().any(|s| periodic_variance_share(time_s, values, *s) > MIN_VARIANCE_SHARE)
+        periods
+            .iter()
+            .any(|s| periodic_variance_fraction(time_s, values, *s) > MIN_VARIANCE_FRACTION)
     })
 }
 
 /// Returns the share of the squares of `values` about their mean that a wave of this period has, 0…1.
-fn periodic_variance_share(time_s: &[f64], values: &[f64], period_s: f64) -> f64 {
+fn periodic_variance_fraction(time_s: &[f64], values: &[f64], period_s: f64) -> f64 {
     let rows = || time_s.iter().zip(values).filter(|(t, v)| t.is_finite() && v.is_finite());
     let count = rows().count() as f64;
     let mean = rows().map(|(_, value)| value).sum::<f64>() / count;
@@ -215,8 +218,8 @@ mod tests {
         let wave = |period: f64| -> Vec<f64> {
             time_s.iter().map(|t| 20.0 + (TAU * (t - 1.7e9) / period + 0.7).sin()).collect()
         };
-        let share = |period: f64| periodic_variance_share(&time_s, &wave(period), 600.0);
+        let share = |period: f64| periodic_variance_fraction(&time_s, &wave(period), 600.0);
         assert!((share(600.0) - 1.0).abs() < 1e-6 && share(300.0) < 1e-6, "{}", share(600.0));
-        assert_eq!(periodic_variance_share(&time_s, &vec![3.0; 600], 600.0), 0.0);
+        assert_eq!(periodic_variance_fraction(&time_s, &vec![3.0; 600], 600.0), 0.0);
     }
 }

@@ -7,7 +7,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Parameter, Target, TermEntry,
+        Parameter, PhysicalLaw, Target, TermEntry,
     },
     data_view::{DataView, StartValues, peak_to_peak, target_positions},
 };
@@ -16,8 +16,8 @@ use crate::{
         reader::Section,
         table::{Table, entries},
     },
-    location::BadInput,
-    sections::{LinearAxis, PitchErrorTable, axis::is_reverse},
+    location::InputFileError,
+    sections::{LinearAxis, PitchErrorTable, axis::is_negative_direction},
 };
 
 /// A table.
@@ -37,7 +37,7 @@ impl FileRepresentation for PitchError {
         PitchErrorTable::NAMES
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         // The table's keys are those of [axis.x.pitch], next to the common ones.
         Ok(Self(PitchErrorTable::read(section)?))
     }
@@ -47,7 +47,7 @@ impl FileRepresentation for PitchError {
     }
 }
 
-impl Law for PitchError {
+impl PhysicalLaw for PitchError {
     fn target(&self) -> Target {
         Target::Axis
     }
@@ -64,8 +64,11 @@ impl Law for PitchError {
         // A missing position is at no point, and what follows is missing as well.
         let low = (at as usize).min(points.saturating_sub(2));
         let share = at - low as f64;
-        let offset =
-            if x.get(1).is_some_and(|&direction| is_reverse(direction)) { points } else { 0 };
+        let offset = if x.get(1).is_some_and(|&direction| is_negative_direction(direction)) {
+            points
+        } else {
+            0
+        };
         add(offset + low, 1.0 - share);
         if points > 1 {
             add(offset + low + 1, share);
@@ -113,7 +116,9 @@ impl Candidate for PitchError {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some(own) = survey.own_position().filter(|own| peak_to_peak(own) > 0.0) else { return };
+        let Some(own) = survey.own_position_mm().filter(|own| peak_to_peak(own) > 0.0) else {
+            return;
+        };
         if survey.has_cause(Self::NAME) {
             return;
         }

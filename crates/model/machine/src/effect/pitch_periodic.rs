@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, NonlinearParameter, Parameter, Target, TermEntry, Value, required_positive,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value, required_positive,
     },
     data_view::{DataView, SpectrumVariable, StartValues, target_positions},
     wave::{self, Wave},
@@ -19,7 +19,7 @@ use crate::{
         reader::Section,
         term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -45,7 +45,7 @@ impl FileRepresentation for PitchPeriodic {
         &[PERIOD_MM.name, HARMONIC.name, AMPLITUDE_UM.name, PHASE_DEG.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(Self {
             period_mm: required_positive(section, PERIOD_MM)?,
             waves: section.required(AMPLITUDE_UM.name, wave::read(section)?)?,
@@ -58,7 +58,7 @@ impl FileRepresentation for PitchPeriodic {
     }
 }
 
-impl Law for PitchPeriodic {
+impl PhysicalLaw for PitchPeriodic {
     fn target(&self) -> Target {
         Target::Axis
     }
@@ -125,16 +125,17 @@ impl Candidate for PitchPeriodic {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         const FREQUENCY_COUNT: usize = 8000;
         // At the targets of a test, the same again and again, a short wave looks like many longer ones.
-        const MIN_PLACES: usize = 40;
+        const MIN_TARGET_POSITIONS: usize = 40;
         // Where the instrument has waves of its own, what is periodic may be its as well.
         if survey.quantity().axis().is_none() || survey.has_instrument_error() {
             return;
         }
-        let places = target_positions(survey.own_position().unwrap_or(&[]), 1e-3);
-        if places.len() < MIN_PLACES {
+        let places = target_positions(survey.own_position_mm().unwrap_or(&[]), 1e-3);
+        if places.len() < MIN_TARGET_POSITIONS {
             return;
         }
-        let Some(peak) = survey.spectrum_peak(SpectrumVariable::Position, 2.0, FREQUENCY_COUNT)
+        let Some(peak) =
+            survey.spectrum_peak_start_values(SpectrumVariable::Position, 2.0, FREQUENCY_COUNT)
         else {
             return;
         };

@@ -6,8 +6,8 @@
 use super::{
     Effect,
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FitSpec, Input, Law, Multiplier, Parameter,
-        PredictionStage, Target, TermContext, TermEntry, Value,
+        BoardRepresentation, Candidate, Explanation, FitSpec, Input, Multiplier, Parameter,
+        PhysicalLaw, PredictionStage, Target, TermContext, TermEntry, Value,
     },
     data_view::{DataView, StartValues, peak_to_peak},
     dependence::{Dependence, DependenceForm, SPEED_COLUMN},
@@ -19,7 +19,7 @@ use crate::{
         reader::{Section, is_temperature_column},
         term::{LEVELS, WHERE_ABOVE, WHERE_BELOW, WHERE_COLUMN},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -31,14 +31,14 @@ const MIN_CROSSINGS: usize = 6;
 
 /// Which side of the bound is inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
+pub enum BoundSide {
     /// Above it.
     Above,
     /// Below it.
     Below,
 }
 
-impl Side {
+impl BoundSide {
     /// Its name: `above`.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -64,15 +64,15 @@ pub struct RangeLimited {
     /// The column whose range it is.
     pub column: String,
     /// Which side of `bound` is inside.
-    pub side: Side,
+    pub side: BoundSide,
     /// In the column's unit.
     pub bound: f64,
 }
 
 impl RangeLimited {
     /// Returns `effect`, within the range that `section` states for it, if it does.
-    pub(crate) fn read(section: &Section<'_>, effect: Effect) -> Result<Effect, BadInput> {
-        let mut sides = [Side::Above, Side::Below].into_iter().filter_map(|side| {
+    pub(crate) fn read(section: &Section<'_>, effect: Effect) -> Result<Effect, InputFileError> {
+        let mut sides = [BoundSide::Above, BoundSide::Below].into_iter().filter_map(|side| {
             section.number(side.key()).transpose().map(|bound| bound.map(|bound| (side, bound)))
         });
         let (range, second) = (sides.next().transpose()?, sides.next().transpose()?);
@@ -122,8 +122,8 @@ impl RangeLimited {
     /// Returns 1 inside, 0 outside, and NaN where the value is missing.
     fn indicator(&self, value: f64) -> f64 {
         let is_inside = match self.side {
-            Side::Above => value > self.bound,
-            Side::Below => value < self.bound,
+            BoundSide::Above => value > self.bound,
+            BoundSide::Below => value < self.bound,
         };
         match (value.is_nan(), is_inside) {
             (true, _) => f64::NAN,
@@ -181,7 +181,7 @@ impl RangeLimited {
     }
 }
 
-impl Law for RangeLimited {
+impl PhysicalLaw for RangeLimited {
     fn target(&self) -> Target {
         self.effect.target()
     }
@@ -240,7 +240,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartV
     let columns = survey
         .unknown_columns()
         .into_iter()
-        .chain(survey.temperatures())
+        .chain(survey.temperature_columns())
         .chain([SPEED_COLUMN, "load_n"]);
     for column in columns {
         let Some(values) = survey.column(column).filter(|values| peak_to_peak(values) > 0.0) else {
@@ -252,7 +252,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartV
             .into_iter()
             .filter(|bound| count_crossings(values, *bound) >= MIN_CROSSINGS)
         {
-            let mut add = |effect: Effect, side: Side| {
+            let mut add = |effect: Effect, side: BoundSide| {
                 let (effect, column) = (Box::new(effect), column.into());
                 let within = RangeLimited { effect, column, side, bound };
                 with(
@@ -263,16 +263,16 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartV
             let mut level = |times| {
                 let form = DependenceForm::Constant { added: 0.0 };
                 let level = Dependence { form, times, ..Dependence::from_column(column) };
-                add(Effect::Dependence(level), Side::Above);
+                add(Effect::Dependence(level), BoundSide::Above);
             };
             level(Multiplier::One);
             if survey.includes_elongation() && peak_to_peak(survey.source_elongation_um()) > 0.0 {
                 level(Multiplier::Growth);
             }
-            if survey.includes_elongation() && survey.varies(SPEED_COLUMN) {
+            if survey.includes_elongation() && survey.is_varying(SPEED_COLUMN) {
                 let growth = || Effect::CentrifugalGrowth(CentrifugalGrowth { um_per_krpm2: 0.0 });
-                add(growth(), Side::Above);
-                add(growth(), Side::Below);
+                add(growth(), BoundSide::Above);
+                add(growth(), BoundSide::Below);
             }
         }
     }
@@ -324,7 +324,7 @@ mod tests {
         let within = RangeLimited {
             effect,
             column: SPEED_COLUMN.into(),
-            side: Side::Above,
+            side: BoundSide::Above,
             bound: 10_500.0,
         };
         let at =
@@ -332,7 +332,7 @@ mod tests {
         assert!((at(&within, 12_000.0) - 2.88).abs() < 1e-12);
         assert_eq!(at(&within, 10_000.0), 0.0);
         assert!(at(&within, f64::NAN).is_nan(), "on which side it was is not known");
-        let below = RangeLimited { side: Side::Below, ..within };
+        let below = RangeLimited { side: BoundSide::Below, ..within };
         assert!((at(&below, 10_000.0) - 2.0).abs() < 1e-12);
         assert_eq!(at(&below, 12_000.0), 0.0);
     }

@@ -13,8 +13,8 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
-        NonlinearParameter, Parameter, Target, TermEntry, Value,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
     },
     data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
@@ -24,7 +24,7 @@ use crate::{
         reader::Section,
         term::{AMPLITUDE_UM, DESCRIPTION, HARMONIC, ORIGIN_MM, PERIOD_MM, PHASE_DEG},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// The variable of a wave.
@@ -99,9 +99,9 @@ impl FileRepresentation for ReferenceInstrument {
         ]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         let waves = wave::read(section)?.unwrap_or_default();
-        let period_mm = section.positive(PERIOD_MM.name)?;
+        let period_mm = section.positive_number(PERIOD_MM.name)?;
         Ok(Self {
             description: section.text(DESCRIPTION.name)?.unwrap_or_default().to_string(),
             period_mm: if waves.is_empty() {
@@ -126,7 +126,7 @@ impl FileRepresentation for ReferenceInstrument {
     }
 }
 
-impl Law for ReferenceInstrument {
+impl PhysicalLaw for ReferenceInstrument {
     fn target(&self) -> Target {
         Target::Any
     }
@@ -197,18 +197,20 @@ impl Candidate for ReferenceInstrument {
         const FREQUENCY_COUNT: usize = 2000;
         if survey.quantity().axis().is_none() {
             // Less than three turns are a curve, and may be the sensor's.
-            if let Some(peak) =
-                survey.spectrum_peak(SpectrumVariable::Elongation, 3.0, FREQUENCY_COUNT)
-            {
+            if let Some(peak) = survey.spectrum_peak_start_values(
+                SpectrumVariable::Elongation,
+                3.0,
+                FREQUENCY_COUNT,
+            ) {
                 with(Self::neutral(false, WaveVariable::Elongation), peak);
             }
             return;
         }
-        if survey.own_position().is_none() || survey.has_cause(Self::NAME) {
+        if survey.own_position_mm().is_none() || survey.has_cause(Self::NAME) {
             return;
         }
         let mut angled = |reading: SpectrumVariable<'_>, read: WaveVariable| {
-            if let Some(peak) = survey.angled_spectrum_peak(reading) {
+            if let Some(peak) = survey.reciprocal_wave_start_values(reading) {
                 with(Self::neutral(true, read), peak);
             }
         };

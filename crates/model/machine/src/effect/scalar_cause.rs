@@ -22,14 +22,14 @@ pub use sensor::{
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, ModelConstants, NonlinearParameter, Parameter, PredictionStage, Target, TermContext,
-        TermEntry, Value, required_number, required_positive,
+        ModelConstants, NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target,
+        TermContext, TermEntry, Value, required_number, required_positive,
     },
     data_view::{DataView, StartValues},
 };
 use crate::{
     keys::{key::Key, reader::Section},
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -160,7 +160,7 @@ impl<T: ScalarParameter> FileRepresentation for T {
         T::NAMES
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         let read = if T::DEFINITION.is_positive { required_positive } else { required_number };
         read(section, T::KEY).map(T::from_number)
     }
@@ -170,7 +170,7 @@ impl<T: ScalarParameter> FileRepresentation for T {
     }
 }
 
-impl<T: ScalarParameter> Law for T {
+impl<T: ScalarParameter> PhysicalLaw for T {
     fn target(&self) -> Target {
         T::DEFINITION.target
     }

@@ -7,7 +7,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Parameter, Target, TemperatureResponse, TermEntry,
+        Parameter, PhysicalLaw, Target, TemperatureResponse, TermEntry,
     },
     data_view::{DataView, StartValues, peak_to_peak},
     heat,
@@ -18,7 +18,7 @@ use crate::{
         table::{Table, entries},
         term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// Heat without a lag.
@@ -32,7 +32,7 @@ impl FileRepresentation for SensorTemperatureDrift {
         &[COLUMN.name, UM_PER_C.name, REFERENCE_C.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         // Without a time constant, which is no key of it.
         TemperatureResponse::read(section).map(Self)
     }
@@ -42,7 +42,7 @@ impl FileRepresentation for SensorTemperatureDrift {
     }
 }
 
-impl Law for SensorTemperatureDrift {
+impl PhysicalLaw for SensorTemperatureDrift {
     fn target(&self) -> Target {
         Target::Elongation
     }
@@ -61,7 +61,7 @@ impl BoardRepresentation for SensorTemperatureDrift {
         vec![BoardTerm::Heat(self.0.clone())]
     }
 
-    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+    fn temperature_response_mut(&mut self) -> Option<&mut TemperatureResponse> {
         Some(&mut self.0)
     }
 }
@@ -81,7 +81,7 @@ impl Candidate for SensorTemperatureDrift {
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(column) = heat::sensor_temperature_column(survey) else { return };
-        if peak_to_peak(survey.source_elongation_um()) > 0.0 && survey.varies(column) {
+        if peak_to_peak(survey.source_elongation_um()) > 0.0 && survey.is_varying(column) {
             with(Self(heat::neutral(survey, column, false)), StartValues::empty());
         }
     }

@@ -8,10 +8,10 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
-        HeatPath, Input, Law, NonlinearParameter, Parameter, Target, TemperatureResponse,
+        HeatPath, Input, NonlinearParameter, Parameter, PhysicalLaw, Target, TemperatureResponse,
         TermEntry, format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
+    data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     heat,
 };
 use crate::{
@@ -21,7 +21,7 @@ use crate::{
         table::{Table, entries, table},
         term::{AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::LinearAxis,
 };
 
@@ -43,19 +43,19 @@ pub enum SlowMode {
 
 table! {
     /// The keys of one by the time.
-    struct TimeDriven {
-        amplitude_um: f64 = AMPLITUDE_UM.with_form(Number).required();
-        time_constant_s: f64 = TIME_CONSTANT_S.with_form(Positive).required();
+    struct TimeDrivenKeys {
+        amplitude_um: f64 = AMPLITUDE_UM.with_value_type(Number).required();
+        time_constant_s: f64 = TIME_CONSTANT_S.with_value_type(Positive).required();
         start_s: f64 = START_S.with_default("0.0");
     }
 }
 
 table! {
     /// The keys of one by a temperature: those of [`Heat`], with a lag.
-    struct ColumnDriven {
-        column: String = COLUMN.with_form(Column).required();
+    struct ColumnDrivenKeys {
+        column: String = COLUMN.with_value_type(Column).required();
         um_per_c: f64 = UM_PER_C.required();
-        time_constant_s: f64 = TIME_CONSTANT_S.with_form(Positive).required();
+        time_constant_s: f64 = TIME_CONSTANT_S.with_value_type(Positive).required();
         reference_c: f64 = REFERENCE_C.required();
     }
 }
@@ -73,16 +73,21 @@ impl FileRepresentation for SlowMode {
     }
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&COLUMN.name) { ColumnDriven::NAMES } else { TimeDriven::NAMES }
+        if section.keys().contains(&COLUMN.name) {
+            ColumnDrivenKeys::NAMES
+        } else {
+            TimeDrivenKeys::NAMES
+        }
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         if section.text(COLUMN.name)?.is_none() {
-            let TimeDriven { amplitude_um, time_constant_s, start_s } = TimeDriven::read(section)?;
+            let TimeDrivenKeys { amplitude_um, time_constant_s, start_s } =
+                TimeDrivenKeys::read(section)?;
             return Ok(Self::TimeDriven { amplitude_um, time_constant_s, start_s });
         }
-        let ColumnDriven { column, um_per_c, time_constant_s, reference_c } =
-            ColumnDriven::read(section)?;
+        let ColumnDrivenKeys { column, um_per_c, time_constant_s, reference_c } =
+            ColumnDrivenKeys::read(section)?;
         Ok(Self::ColumnDriven(TemperatureResponse {
             column,
             um_per_c,
@@ -93,17 +98,19 @@ impl FileRepresentation for SlowMode {
 
     fn entries(&self) -> Vec<TermEntry> {
         match self {
-            Self::TimeDriven { amplitude_um, time_constant_s, start_s } => entries(&TimeDriven {
-                amplitude_um: *amplitude_um,
-                time_constant_s: *time_constant_s,
-                start_s: *start_s,
-            }),
+            Self::TimeDriven { amplitude_um, time_constant_s, start_s } => {
+                entries(&TimeDrivenKeys {
+                    amplitude_um: *amplitude_um,
+                    time_constant_s: *time_constant_s,
+                    start_s: *start_s,
+                })
+            }
             Self::ColumnDriven(heat) => entries(heat),
         }
     }
 }
 
-impl Law for SlowMode {
+impl PhysicalLaw for SlowMode {
     fn target(&self) -> Target {
         Target::Heat
     }
@@ -141,7 +148,7 @@ impl BoardRepresentation for SlowMode {
         }]
     }
 
-    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+    fn temperature_response_mut(&mut self) -> Option<&mut TemperatureResponse> {
         match self {
             Self::TimeDriven { .. } => None,
             Self::ColumnDriven(heat) => Some(heat),
@@ -198,16 +205,17 @@ impl Candidate for SlowMode {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in
-            heat::candidate_columns(survey).into_iter().filter(|(_, is_in_use)| *is_in_use)
+        for (column, _) in heat::candidate_temperature_columns(survey)
+            .into_iter()
+            .filter(|(_, is_in_use)| *is_in_use)
         {
-            let time_constants = survey.time_constant_start_values(TIME_CONSTANT_COUNT);
+            let time_constants = survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS);
             with(Self::ColumnDriven(heat::neutral(survey, column, true)), time_constants);
         }
         if survey.quantity().axis().is_none() && survey.time_range_s().is_some() {
             let start_s = survey.time_origin_s();
             let neutral = Self::TimeDriven { amplitude_um: 0.0, time_constant_s: 1.0, start_s };
-            with(neutral, survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+            with(neutral, survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
     }
 }

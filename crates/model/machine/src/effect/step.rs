@@ -6,8 +6,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
-        NonlinearParameter, Parameter, Target, TermEntry,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry,
     },
     data_view::{DataView, StartValues},
 };
@@ -17,7 +17,7 @@ use crate::{
         table::{Table, entries, table},
         term::{AT_S, SIZE_UM},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 table! {
@@ -38,7 +38,7 @@ impl FileRepresentation for Step {
         Self::NAMES
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Table::read(section)
     }
 
@@ -47,7 +47,7 @@ impl FileRepresentation for Step {
     }
 }
 
-impl Law for Step {
+impl PhysicalLaw for Step {
     fn target(&self) -> Target {
         Target::Any
     }

@@ -7,7 +7,7 @@
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Law, Parameter, Target, TermContext, TermEntry, Value, required_axis,
+        Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value, required_axis,
     },
     data_view::{DataView, StartValues, target_positions, uniform_knots},
 };
@@ -16,7 +16,7 @@ use crate::{
         reader::Section,
         term::{ALONG, CONTROL_UM, KNOTS_MM, ORDER},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::{
         LinearAxis,
         straightness::{SplineKeys, read_spline, spline_entries},
@@ -56,7 +56,7 @@ impl FileRepresentation for Straightness {
         &[ALONG.name, ORDER.name, KNOTS_MM.name, CONTROL_UM.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(Self {
             along: required_axis(section, ALONG)?,
             spline: read_spline(section, &SPLINE_KEYS)?,
@@ -69,7 +69,7 @@ impl FileRepresentation for Straightness {
     }
 }
 
-impl Law for Straightness {
+impl PhysicalLaw for Straightness {
     fn target(&self) -> Target {
         Target::Axis
     }

@@ -18,8 +18,8 @@
 use super::{
     cause_spec::{
         BoardRepresentation, Candidate, DelayKind, Explanation, FileRepresentation, FitSpec, Input,
-        Law, NonlinearParameter, Parameter, PredictionStage, Target, TermContext, TermEntry,
-        ThermometerDelay, Value, format_duration, required_positive,
+        NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target, TermContext,
+        TermEntry, ThermometerDelay, Value, format_duration, required_positive,
     },
     data_view::{DataView, StartValues},
 };
@@ -28,7 +28,7 @@ use crate::{
         reader::Section,
         term::{FORM, SLOPE_OVER, TIME_CONSTANT_S},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// A thermometer that is late.
@@ -42,7 +42,7 @@ pub struct ThermometerLag {
 
 /// The shares of τ that w is tried at: from row to row, which undoes a lag exactly; all of τ, over which the
 /// noise counts √3 times; and three tenths, half way by ratio between that and a tenth.
-const SLOPE_WIDTH_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
+const SLOPE_WIDTH_FRACTIONS: [f64; 3] = [0.0, 0.3, 1.0];
 
 impl ThermometerLag {
     fn form_entries(&self) -> Vec<TermEntry> {
@@ -63,8 +63,8 @@ impl FileRepresentation for ThermometerLag {
         &[TIME_CONSTANT_S.name, FORM.name, SLOPE_OVER.name]
     }
 
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let slope_over = section.non_negative(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
+        let slope_over = section.non_negative_number(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
         let lag = DelayKind::Lag { slope_over };
         let form = section.choice(FORM.name, &[("lag", lag), ("delay", DelayKind::Delay)])?;
         let time_constant_s = required_positive(section, TIME_CONSTANT_S)?;
@@ -78,7 +78,7 @@ impl FileRepresentation for ThermometerLag {
     }
 }
 
-impl Law for ThermometerLag {
+impl PhysicalLaw for ThermometerLag {
     fn target(&self) -> Target {
         Target::OwnThermometer
     }
@@ -135,9 +135,9 @@ impl Candidate for ThermometerLag {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(believed_s) = survey.modelled_lag_s() else { return };
         if believed_s == 0.0 && !survey.has_cause(Self::NAME) {
-            let lags = SLOPE_WIDTH_SHARES.map(|slope_over| DelayKind::Lag { slope_over });
+            let lags = SLOPE_WIDTH_FRACTIONS.map(|slope_over| DelayKind::Lag { slope_over });
             for form in lags.into_iter().chain([DelayKind::Delay]) {
-                with(Self { time_constant_s: 0.0, form }, survey.delay_start_values());
+                with(Self { time_constant_s: 0.0, form }, survey.thermometer_lag_start_values());
             }
         }
     }

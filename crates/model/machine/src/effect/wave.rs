@@ -6,7 +6,7 @@ use crate::{
         reader::Section,
         term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// One wave of a periodic error.
@@ -59,7 +59,7 @@ pub(crate) fn entries(waves: &[Wave]) -> [TermEntry; 3] {
 }
 
 /// `harmonic`, `amplitude_um` and `phase_deg`: three numbers of one wave, or three arrays.
-pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, InputFileError> {
     let Some(amplitudes) = section.number_or_numbers(AMPLITUDE_UM.name)? else { return Ok(None) };
     let alike = |key, or: fn(usize) -> f64| {
         let values = section.number_or_numbers(key)?;

@@ -8,10 +8,10 @@ use crate::{
         section::NewSection,
         table::{Table, choice, table},
     },
-    location::{BadInput, Locations, truncate_text},
+    location::{InputFileError, Locations, truncate_text},
     sections::{
-        Angle, AxisModel, Chain, Limits, LinearAxis, PitchErrorTable, RotaryAxis, Spindle,
-        Squareness, Straightness, VolumetricModel,
+        AngleProfile, AxisChain, AxisModel, Limits, LinearAxis, PitchErrorTable, RotaryAxis,
+        Spindle, Squareness, Straightness, VolumetricModel,
     },
 };
 
@@ -107,10 +107,10 @@ pub(super) struct MachineSection {
     pub kind: MachineKind,
     pub head_axes: Vec<RotaryAxis>,
     pub tool_direction: [f64; 3],
-    pub chain: Option<Chain>,
+    pub chain: Option<AxisChain>,
 }
 
-pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
+pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, InputFileError> {
     let MachineKeys { name, serial, board, kind, head_axes, tool_direction, chain } =
         MachineKeys::read(section)?;
     for (key, text) in [("name", Some(&name)), ("serial", serial.as_ref())] {
@@ -129,7 +129,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
         section.key_error("tool_direction", "has no length: it must point from the nose to the tip")
     })?;
     let chain = chain.map(|written| {
-        let chain = Chain::parse(&written)?;
+        let chain = AxisChain::parse(&written)?;
         check_chain(&chain, kind, &head_axes).map(|()| chain)
     });
     let chain =
@@ -157,7 +157,7 @@ fn read_head_axes(
     section: &Section<'_>,
     kind: MachineKind,
     names: &[String],
-) -> Result<Vec<RotaryAxis>, BadInput> {
+) -> Result<Vec<RotaryAxis>, InputFileError> {
     let mut axes = Vec::new();
     for (index, name) in names.iter().enumerate() {
         let axis =
@@ -190,7 +190,11 @@ fn read_head_axes(
 ///
 /// # Errors
 /// The rule that is broken; it goes on after the key.
-fn check_chain(chain: &Chain, kind: MachineKind, head_axes: &[RotaryAxis]) -> Result<(), String> {
+fn check_chain(
+    chain: &AxisChain,
+    kind: MachineKind,
+    head_axes: &[RotaryAxis],
+) -> Result<(), String> {
     if kind == MachineKind::Lathe {
         return Err(
             "is not known for kind = \"lathe\": its workpiece turns with the spindle".into()
@@ -242,7 +246,7 @@ pub(super) fn write(machine: &Machine) -> NewSection {
         kind: machine.kind,
         head_axes: machine.head_axes.iter().map(|axis| axis.name().to_string()).collect(),
         tool_direction: machine.tool_direction,
-        chain: machine.volume.chain.as_ref().map(Chain::to_string),
+        chain: machine.volume.chain.as_ref().map(AxisChain::to_string),
     };
     keys.write(NewSection::new("machine")).with_key_last("tool_direction")
 }
@@ -270,8 +274,8 @@ impl Machine {
         let curves = curves.filter_map(|curve| curve.spline.range_mm());
         let angles = self.volume.angular.iter().filter(|angular| angular.along == axis);
         let angles = angles.filter_map(|angular| match &angular.angle {
-            Angle::Curve(spline) => spline.range_mm(),
-            Angle::Line(_) => None,
+            AngleProfile::Curve(spline) => spline.range_mm(),
+            AngleProfile::Line(_) => None,
         });
         tables.chain(curves).chain(angles).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }

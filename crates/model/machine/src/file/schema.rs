@@ -8,12 +8,12 @@ use super::machine;
 use crate::{
     keys::{
         key::{key, section},
-        range::{UNBOUNDED, USER_SETTING_SOURCE, range},
+        range::{UNBOUNDED_LIMIT, USER_SETTING_SOURCE, range},
         table::Table,
     },
     sections::{
         Limits, ToolGeometry, axis, inputs, instrument::Instrument, spindle, straightness,
-        thermal_state::ThermalState, volume,
+        thermal_state::ThermalStateSection, volume,
     },
 };
 
@@ -36,7 +36,7 @@ pub const MACHINE_FILE_KEYS: &[Key] = &[
         "what is connected to the board; needed to run on one, not to predict",
     )
     .with_range(range(
-        [-UNBOUNDED, UNBOUNDED],
+        [-UNBOUNDED_LIMIT, UNBOUNDED_LIMIT],
         [-1e10, 1e10],
         [-1e5, 1e5],
         USER_SETTING_SOURCE,
@@ -70,14 +70,14 @@ pub const MACHINE_FILE_KEYS: &[Key] = &[
         "how far and how fast an offset may go, and how long silence is tolerated",
     )
     .with_range(range(
-        [0.0, UNBOUNDED],
-        [0.0, UNBOUNDED],
-        [0.0, UNBOUNDED],
+        [0.0, UNBOUNDED_LIMIT],
+        [0.0, UNBOUNDED_LIMIT],
+        [0.0, UNBOUNDED_LIMIT],
         USER_SETTING_SOURCE,
     )),
     section(
         "thermal_state",
-        ThermalState::KEYS,
+        ThermalStateSection::KEYS,
         "what the board takes for a machine without heat of its own; without it 0.5 K",
     ),
     section("instrument", Instrument::KEYS, "what the machine is measured with"),

@@ -9,7 +9,7 @@
 use crate::{
     effect::{Cause, Effect, Quantity, RangeLimited, TermContext},
     keys::{reader::Section, section::NewSection},
-    location::{BadInput, did_you_mean, truncate_text},
+    location::{InputFileError, did_you_mean, truncate_text},
     sections::{AxisModel, Spindle},
 };
 
@@ -37,7 +37,7 @@ pub(crate) fn sorted_by_stage(terms: &[Term]) -> Vec<(usize, &Term)> {
 const COMMON_KEYS: [&str; 6] =
     ["cause", "quantity", "constant_um", "where_column", "where_above", "where_below"];
 
-pub(super) fn read(section: &Section<'_>) -> Result<Term, BadInput> {
+pub(super) fn read(section: &Section<'_>) -> Result<Term, InputFileError> {
     let name = section.required("cause", section.text("cause")?)?;
     let cause = Cause::from_name(name).ok_or_else(|| {
         let near = did_you_mean(name, Cause::ALL.iter().map(|cause| cause.name()));
@@ -58,14 +58,14 @@ pub(super) fn check(
     term: &Term,
     spindle: &Spindle,
     axes: &[AxisModel; 3],
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let axis = term.quantity.axis().map(|axis| &axes[axis.index()]);
     let host = TermContext {
         quantity: term.quantity,
         spindle,
         thermal: axis.and_then(|axis| axis.thermal.as_ref()),
     };
-    match term.effect.refusal_reason(&host) {
+    match term.effect.rejection_reason(&host) {
         Some(rule) => Err(section.key_error("cause", rule)),
         None => Ok(()),
     }

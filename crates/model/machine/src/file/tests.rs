@@ -91,7 +91,7 @@ fn every_key_that_is_run_arrives_in_its_field() {
         link_timeout_ms: 250,
         hold_ms: 0,
         rejoin_um_per_s: 0.01,
-        learned: super::LearnedCaps::default(),
+        learned: super::LearnedChangeLimits::default(),
     };
     assert_eq!(machine.limits, limits);
 }
@@ -193,7 +193,7 @@ fn the_keys_of_pairs_of_axes_stand_in_the_order_of_the_pairs() {
         assert_eq!(squareness.name(), format!("{pair}_um_per_m"));
     }
     for (about, along) in AngularErrorMotion::all_axis_pairs() {
-        let angular = AngularErrorMotion { about, along, angle: Angle::Line(0.0) };
+        let angular = AngularErrorMotion { about, along, angle: AngleProfile::Line(0.0) };
         assert_eq!(angular.name(), format!("e{}{}", about.name(), along.name()));
     }
 }

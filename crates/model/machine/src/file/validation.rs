@@ -8,16 +8,16 @@ use crate::{
     effect::Cause,
     keys::{
         key::{Key, Requirement, ValueType},
-        reader::{Document, Section, is_temperature_column},
+        reader::{Section, TomlDocument, is_temperature_column},
         term::{TERM, TERM_KEYS},
     },
-    location::BadInput,
+    location::InputFileError,
     sections::inputs::is_condition,
 };
 
 /// Returns what is wrong with the keys of `section`, in no order.
-pub(super) fn find_key_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
-    let mut faults = find_value_faults(section, keys);
+pub(super) fn find_key_errors(section: &Section<'_>, keys: &[Key]) -> Vec<InputFileError> {
+    let mut faults = find_value_errors(section, keys);
     // A misspelt key would be reported as a missing one too.
     if section.keys().iter().any(|name| !keys.iter().any(|key| matches_key(section, key, name))) {
         return faults;
@@ -34,7 +34,7 @@ pub(super) fn find_key_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInp
 }
 
 /// Returns what is wrong with what stands in `section`, whatever is missing.
-fn find_value_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
+fn find_value_errors(section: &Section<'_>, keys: &[Key]) -> Vec<InputFileError> {
     let mut faults = Vec::new();
     let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
     for name in section.keys() {
@@ -48,11 +48,11 @@ fn find_value_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
 
 /// Returns what is wrong with a `[[term]]`, in no order. Which keys its cause needs is known by its page alone, which
 /// stops at the first that is missing: it reads the term again with the example of that key, and so on.
-pub(super) fn find_term_faults(section: &Section<'_>) -> Vec<BadInput> {
+pub(super) fn find_term_errors(section: &Section<'_>) -> Vec<InputFileError> {
     let all = [TERM, TERM_KEYS].concat();
     let cause = section.text("cause").ok().flatten().and_then(Cause::from_name);
     let Some(cause) = cause else {
-        let mut faults = find_key_faults(section, &all);
+        let mut faults = find_key_errors(section, &all);
         // One that is there and is text, but is none.
         if faults.iter().all(|fault| fault.place != section.location("cause")) {
             faults.extend(term::read(section).err());
@@ -63,18 +63,18 @@ pub(super) fn find_term_faults(section: &Section<'_>) -> Vec<BadInput> {
     let is_one =
         |key: &&Key| names.contains(&key.name) || TERM.iter().any(|common| common.name == key.name);
     let keys: Vec<Key> = all.iter().filter(is_one).copied().collect();
-    let mut faults = find_key_faults(section, &keys);
+    let mut faults = find_key_errors(section, &keys);
     // A misspelt key would be reported as a missing one too; a wrong value hides the rules that go by it.
-    if !find_value_faults(section, &keys).is_empty() {
+    if !find_value_errors(section, &keys).is_empty() {
         return faults;
     }
     let examples = keys.iter().map(|key| format!("{} = {}\n", key.name, key.example));
     let examples = examples.collect::<String>();
-    let Ok(examples) = Document::parse(&examples, Path::new("")) else { return faults };
+    let Ok(examples) = TomlDocument::parse(&examples, Path::new("")) else { return faults };
     let mut added: Vec<&str> = Vec::new();
     loop {
         let read = section
-            .with_keys_from(&examples.root(), &added, |section| cause.read(section).map(drop));
+            .read_with_keys_from(&examples.root(), &added, |section| cause.read(section).map(drop));
         let Err(error) = read else { return faults };
         let is_missing = |key: &&Key| {
             !added.contains(&key.name)
@@ -91,11 +91,11 @@ pub(super) fn find_term_faults(section: &Section<'_>) -> Vec<BadInput> {
 }
 
 /// With what `key` is, and an example of it.
-fn add_key_help(error: BadInput, key: &Key) -> BadInput {
+fn add_key_help(error: InputFileError, key: &Key) -> InputFileError {
     error.with_help(append_example(format!("{}: {}", key.name, key.meaning), key))
 }
 
-fn unknown_key_error(section: &Section<'_>, name: &str, names: &[&str]) -> BadInput {
+fn unknown_key_error(section: &Section<'_>, name: &str, names: &[&str]) -> InputFileError {
     let mut error = section.unknown_key_error(name, names.iter().copied());
     if names.contains(&"temp_<name>_c") {
         error.rule.push_str(
@@ -125,7 +125,7 @@ fn append_example(help: String, key: &Key) -> String {
     }
 }
 
-fn check_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<BadInput>) {
+fn check_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<InputFileError>) {
     let result = match key.form {
         ValueType::Text => section.text(name).map(drop),
         ValueType::Boolean => section.boolean(name).map(drop),
@@ -136,8 +136,8 @@ fn check_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<Ba
         }
         ValueType::Choices(_) => section.strings(name).map(drop),
         ValueType::Number => section.number(name).map(drop),
-        ValueType::Positive => section.positive(name).map(drop),
-        ValueType::NotNegative => section.non_negative(name).map(drop),
+        ValueType::Positive => section.positive_number(name).map(drop),
+        ValueType::NotNegative => section.non_negative_number(name).map(drop),
         // The order of a spline has a rule of its own, with the reason.
         ValueType::Whole(..) if name == "order" => section.integer(name, 0, u32::MAX).map(drop),
         ValueType::Whole(least, most) => section.integer(name, least, most).map(drop),
@@ -147,7 +147,7 @@ fn check_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<Ba
         ValueType::Rows => section.rows(name).map(drop),
         ValueType::Terms => section.sections(name).map(drop),
         ValueType::Table(keys) => section.section(name).map(|inner| {
-            faults.extend(inner.iter().flat_map(|inner| self::find_key_faults(inner, keys)));
+            faults.extend(inner.iter().flat_map(|inner| self::find_key_errors(inner, keys)));
         }),
     };
     let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };

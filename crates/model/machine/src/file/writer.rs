@@ -18,13 +18,13 @@ use std::path::Path;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, TableLike};
 
 use super::MachineFile;
-use crate::location::{BadInput, Location};
+use crate::location::{InputFileError, Location};
 
 pub use crate::keys::section::{NewSection, Value, round_to_decimals};
 
 /// The changes in a machine file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Edit {
+pub struct MachineFileEdit {
     /// Sections to replace or to add.
     pub sections: Vec<NewSection>,
     /// Sections or keys to take away, by their dotted names, because they contradict the new ones:
@@ -39,7 +39,7 @@ pub struct Edit {
     pub appended: Vec<NewSection>,
 }
 
-impl Edit {
+impl MachineFileEdit {
     /// Returns an edit of one section.
     #[must_use]
     pub fn from_section(section: NewSection) -> Self {
@@ -74,7 +74,7 @@ impl Edit {
     /// # Errors
     /// `source` is no machine file, or would not be one with the edit: the rule names the place in
     /// what would have been written.
-    pub fn apply(&self, source: &str, path: &Path) -> Result<String, BadInput> {
+    pub fn apply(&self, source: &str, path: &Path) -> Result<String, InputFileError> {
         // Also refuses what toml_edit could only call invalid, with a place and a better rule.
         MachineFile::parse(source, path)?;
         let (mark, unmarked) = match source.strip_prefix('\u{feff}') {
@@ -84,7 +84,10 @@ impl Edit {
         let windows = unmarked.contains("\r\n");
         let mut document: DocumentMut =
             unmarked.replace("\r\n", "\n").parse().map_err(|error| {
-                BadInput::new(Location::start_of_file(path), format!("cannot be edited: {error}"))
+                InputFileError::new(
+                    Location::start_of_file(path),
+                    format!("cannot be edited: {error}"),
+                )
             })?;
         for name in &self.removed {
             remove_table(document.as_table_mut(), name);
@@ -125,7 +128,7 @@ impl Edit {
 
 fn write_section(root: &mut Table, section: &NewSection) {
     let names: Vec<&str> = section.name().split('.').collect();
-    if let Some(table) = layout::find_or_insert_table(root, &names, section.remarks()) {
+    if let Some(table) = layout::find_or_insert_table(root, &names, section.header_comments()) {
         replace_keys(table, section);
     }
 }
@@ -152,7 +155,7 @@ fn replace_keys(table: &mut dyn TableLike, section: &NewSection) {
         .iter()
         .map(|(key, _)| key.to_string())
         .filter(|key| !section.is_preserved(key))
-        .filter(|key| section.value_of(key).is_none())
+        .filter(|key| section.value(key).is_none())
         .collect();
     for key in stale {
         table.remove(&key);
@@ -166,7 +169,7 @@ fn append_table(root: &mut Table, section: &NewSection) {
         root.entry(section.name()).or_insert_with(|| Item::ArrayOfTables(ArrayOfTables::new()));
     match item {
         Item::ArrayOfTables(tables) => {
-            let mut table = layout::new_table(section.remarks());
+            let mut table = layout::new_table(section.header_comments());
             if tables.is_empty() {
                 // Where the user's tables are not in the order of their sections, the end is still
                 // behind all of them.

@@ -100,7 +100,7 @@ pub(crate) const fn section(
 
 impl Key {
     /// Returns it with a narrower form.
-    pub(crate) const fn with_form(self, form: ValueType) -> Self {
+    pub(crate) const fn with_value_type(self, form: ValueType) -> Self {
         Self { form, ..self }
     }
 

@@ -32,7 +32,7 @@ pub(crate) const fn range(
 
 /// Declares that any number can be meant.
 pub(crate) const fn unbounded(source: &'static str) -> PlausibleRange {
-    let all = [-UNBOUNDED, UNBOUNDED];
+    let all = [-UNBOUNDED_LIMIT, UNBOUNDED_LIMIT];
     range(all, all, all, source)
 }
 
@@ -87,21 +87,22 @@ pub(crate) const LAW_FORM_SOURCE: &str = "the law's own form";
 pub(crate) const MACHINE_DATA_SOURCE: &str = "data sheets of machine tools";
 
 /// Larger than any value.
-pub(crate) const UNBOUNDED: f64 = 1e15;
+pub(crate) const UNBOUNDED_LIMIT: f64 = 1e15;
 
 /// Of a number in the unit of a column that the user has named.
-pub(crate) const USER_UNIT: PlausibleRange = unbounded("the unit of the column is the user's");
+pub(crate) const USER_UNIT_RANGE: PlausibleRange =
+    unbounded("the unit of the column is the user's");
 
 /// Of a time of the run's clock.
-pub(crate) const CLOCK: PlausibleRange = unbounded("a clock counts from anywhere");
+pub(crate) const CLOCK_TIME_RANGE: PlausibleRange = unbounded("a clock counts from anywhere");
 
 /// Of a growth with speed, for (1000 r/min)².
-pub(crate) const SPEED_GROWTH: PlausibleRange =
+pub(crate) const SPEED_GROWTH_RANGE: PlausibleRange =
     range([-100.0, 100.0], [-5.0, 5.0], [-0.2, 0.2], "20 to 60 µm at 24 000 r/min")
         .with_hint_above("probably for r/min instead of 1000 r/min");
 
 /// Of the degree of a spline plus one.
-pub(crate) const SPLINE_ORDER: PlausibleRange =
+pub(crate) const SPLINE_ORDER_RANGE: PlausibleRange =
     range([2.0, 4.0], [2.0, 4.0], [2.0, 4.0], LAW_FORM_SOURCE);
 
 /// The ranges of the keys that have none of their own, by their unit.
@@ -121,6 +122,6 @@ const UNIT_RANGES: &[(&str, PlausibleRange)] = &[
 ];
 
 /// Returns the range of the keys of a unit that have none of their own.
-pub(crate) fn range_of_unit(unit: &str) -> Option<PlausibleRange> {
+pub(crate) fn default_range_for_unit(unit: &str) -> Option<PlausibleRange> {
     UNIT_RANGES.iter().find(|(of, _)| *of == unit).map(|(_, range)| *range)
 }

@@ -11,14 +11,14 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use crate::location::{BadInput, Location, Locations, did_you_mean, truncate_text};
+use crate::location::{InputFileError, Location, Locations, did_you_mean, truncate_text};
 
 /// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
 /// more than this is more than the board could store.
 pub(crate) const MAX_ARRAY_LENGTH: usize = 4096;
 
 /// A TOML file and where its keys stand.
-pub(crate) struct Document<'t> {
+pub(crate) struct TomlDocument<'t> {
     file: &'t Path,
     text: &'t str,
     table: DeTable<'t>,
@@ -35,17 +35,17 @@ fn has_column_header(text: &str) -> bool {
     first.is_some_and(|line| line.contains([',', ';', '\t']) && !line.contains(['=', '[']))
 }
 
-impl<'t> Document<'t> {
+impl<'t> TomlDocument<'t> {
     /// `text` is the whole content of `file`, without a byte order mark.
-    pub(crate) fn parse(text: &'t str, file: &'t Path) -> Result<Self, BadInput> {
+    pub(crate) fn parse(text: &'t str, file: &'t Path) -> Result<Self, InputFileError> {
         let table = DeTable::parse(text).map_err(|error| {
             if has_column_header(text) {
-                return BadInput::new(Location::start_of_file(file), NOT_A_MACHINE_FILE)
+                return InputFileError::new(Location::start_of_file(file), NOT_A_MACHINE_FILE)
                     .with_help("--machine takes the machine file, --run the run file");
             }
             let offset = error.span().map_or(0, |span| span.start);
             let rule = format!("not valid TOML: {}", error.message());
-            BadInput::new(Location::from_byte_offset(file, text, offset), rule)
+            InputFileError::new(Location::from_byte_offset(file, text, offset), rule)
         })?;
         let table = table.into_inner();
         let mut places = Locations::new(file);
@@ -135,7 +135,7 @@ pub fn is_temperature_column(name: &str) -> bool {
 
 /// One table of the file.
 pub(crate) struct Section<'d> {
-    document: &'d Document<'d>,
+    document: &'d TomlDocument<'d>,
     table: &'d DeTable<'d>,
     /// Its dotted name; empty for the file itself.
     name: String,
@@ -143,14 +143,14 @@ pub(crate) struct Section<'d> {
 
 impl<'d> Section<'d> {
     /// `key` of this section breaks a rule; `rule` goes on after the key: "must not be 0".
-    pub(crate) fn key_error(&self, key: &str, rule: impl Display) -> BadInput {
+    pub(crate) fn key_error(&self, key: &str, rule: impl Display) -> InputFileError {
         self.document.places.key_error(&dotted_key(&self.name, key), rule)
     }
 
     /// Refuses every key that is not `known`.
     ///
     /// Must come before anything is read, or a misspelt key would be reported as a missing one.
-    pub(crate) fn reject_unknown_keys(&self, known: &[&str]) -> Result<(), BadInput> {
+    pub(crate) fn reject_unknown_keys(&self, known: &[&str]) -> Result<(), InputFileError> {
         match self.keys().into_iter().find(|key| !known.contains(key)) {
             Some(key) => Err(self.unknown_key_error(key, known.iter().copied())),
             None => Ok(()),
@@ -162,11 +162,11 @@ impl<'d> Section<'d> {
         &self,
         key: &str,
         known: impl IntoIterator<Item = &'k str>,
-    ) -> BadInput {
+    ) -> InputFileError {
         let offset = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
         let place = Location::from_byte_offset(self.document.file, self.document.text, offset);
         let name = truncate_text(&dotted_key(&self.name, key));
-        BadInput::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
+        InputFileError::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
     }
 
     /// Returns the names of all keys, in the order of the file.
@@ -190,7 +190,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns what `read` makes of this section with these `keys` of another one in it.
-    pub(crate) fn with_keys_from<T>(
+    pub(crate) fn read_with_keys_from<T>(
         &self,
         other: &Section<'_>,
         keys: &[&str],
@@ -206,12 +206,12 @@ impl<'d> Section<'d> {
     ///
     /// # Errors
     /// The key is missing: at the place of the section.
-    pub(crate) fn required<T>(&self, key: &str, value: Option<T>) -> Result<T, BadInput> {
+    pub(crate) fn required<T>(&self, key: &str, value: Option<T>) -> Result<T, InputFileError> {
         value.ok_or_else(|| self.key_error(key, "is missing"))
     }
 
     /// Returns the table `key`.
-    pub(crate) fn section(&self, key: &str) -> Result<Option<Section<'d>>, BadInput> {
+    pub(crate) fn section(&self, key: &str) -> Result<Option<Section<'d>>, InputFileError> {
         match self.table.get(key).map(Spanned::get_ref) {
             None => Ok(None),
             Some(DeValue::Table(table)) => Ok(Some(Section {
@@ -224,7 +224,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the tables of the array of tables `key`; none where it is missing.
-    pub(crate) fn sections(&self, key: &str) -> Result<Vec<Section<'d>>, BadInput> {
+    pub(crate) fn sections(&self, key: &str) -> Result<Vec<Section<'d>>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(Vec::new()) };
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type_error(key, "an array of tables ([[term]])", value));
@@ -244,7 +244,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the boolean `key`.
-    pub(crate) fn boolean(&self, key: &str) -> Result<Option<bool>, BadInput> {
+    pub(crate) fn boolean(&self, key: &str) -> Result<Option<bool>, InputFileError> {
         match self.table.get(key).map(Spanned::get_ref) {
             None => Ok(None),
             Some(DeValue::Boolean(value)) => Ok(Some(*value)),
@@ -253,7 +253,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the string `key`.
-    pub(crate) fn text(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
+    pub(crate) fn text(&self, key: &str) -> Result<Option<&'d str>, InputFileError> {
         match self.table.get(key).map(Spanned::get_ref) {
             None => Ok(None),
             Some(DeValue::String(text)) => Ok(Some(text)),
@@ -266,7 +266,7 @@ impl<'d> Section<'d> {
         &self,
         key: &str,
         choices: &[(&str, T)],
-    ) -> Result<Option<T>, BadInput> {
+    ) -> Result<Option<T>, InputFileError> {
         let Some(text) = self.text(key)? else { return Ok(None) };
         if let Some((_, choice)) = choices.iter().find(|(name, _)| *name == text) {
             return Ok(Some(*choice));
@@ -279,7 +279,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the name of a temperature column `key`.
-    pub(crate) fn temperature_column(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
+    pub(crate) fn temperature_column(&self, key: &str) -> Result<Option<&'d str>, InputFileError> {
         match self.text(key)? {
             Some(column) if !is_temperature_column(column) => {
                 let rule =
@@ -291,12 +291,12 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the number `key`, written as integer or float; never infinite or NaN.
-    pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, BadInput> {
+    pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, InputFileError> {
         self.table.get(key).map(|value| self.finite_number(key, value.get_ref())).transpose()
     }
 
     /// Returns the number `key`, which must be above 0.
-    pub(crate) fn positive(&self, key: &str) -> Result<Option<f64>, BadInput> {
+    pub(crate) fn positive_number(&self, key: &str) -> Result<Option<f64>, InputFileError> {
         match self.number(key)? {
             Some(value) if value <= 0.0 => {
                 Err(self.key_error(key, format!("must be above 0, not {value}")))
@@ -306,7 +306,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the number `key`, which must be 0 or above.
-    pub(crate) fn non_negative(&self, key: &str) -> Result<Option<f64>, BadInput> {
+    pub(crate) fn non_negative_number(&self, key: &str) -> Result<Option<f64>, InputFileError> {
         match self.number(key)? {
             Some(value) if value < 0.0 => {
                 Err(self.key_error(key, format!("must not be negative, but is {value}")))
@@ -321,7 +321,7 @@ impl<'d> Section<'d> {
         key: &str,
         least: u32,
         most: u32,
-    ) -> Result<Option<u32>, BadInput> {
+    ) -> Result<Option<u32>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Integer(digits) = value else {
             return Err(self.wrong_type_error(key, "a whole number", value));
@@ -336,19 +336,19 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the array `key` of exactly three numbers.
-    pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, BadInput> {
+    pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         self.three_numbers(key, value).map(Some)
     }
 
     /// Returns the array `key` of 1 to [`MAX_ARRAY_LENGTH`] numbers.
-    pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
+    pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, InputFileError> {
         let number = |element: &str, value: &DeValue<'_>| self.finite_number(element, value);
         self.read_elements(key, "an array of numbers", number)
     }
 
     /// Returns the same, or one number alone.
-    pub(crate) fn number_or_numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
+    pub(crate) fn number_or_numbers(&self, key: &str) -> Result<Option<Vec<f64>>, InputFileError> {
         match self.table.get(key).map(Spanned::get_ref) {
             Some(DeValue::Array(_)) | None => self.numbers(key),
             Some(_) => Ok(self.number(key)?.map(|number| vec![number])),
@@ -356,7 +356,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the array `key` of 1 to [`MAX_ARRAY_LENGTH`] rows of exactly three numbers.
-    pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, BadInput> {
+    pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, InputFileError> {
         let row = |element: &str, value: &DeValue<'_>| self.three_numbers(element, value);
         self.read_elements(key, "an array of rows", row)
     }
@@ -366,8 +366,8 @@ impl<'d> Section<'d> {
         &self,
         key: &str,
         requested: &str,
-        read: impl Fn(&str, &DeValue<'_>) -> Result<T, BadInput>,
-    ) -> Result<Option<Vec<T>>, BadInput> {
+        read: impl Fn(&str, &DeValue<'_>) -> Result<T, InputFileError>,
+    ) -> Result<Option<Vec<T>>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type_error(key, requested, value));
@@ -385,7 +385,7 @@ impl<'d> Section<'d> {
             .map(Some)
     }
 
-    fn three_numbers(&self, key: &str, value: &DeValue<'_>) -> Result<[f64; 3], BadInput> {
+    fn three_numbers(&self, key: &str, value: &DeValue<'_>) -> Result<[f64; 3], InputFileError> {
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type_error(key, "an array of three numbers", value));
         };
@@ -402,7 +402,7 @@ impl<'d> Section<'d> {
     }
 
     /// Returns the array `key` of strings.
-    pub(crate) fn strings(&self, key: &str) -> Result<Option<Vec<&'d str>>, BadInput> {
+    pub(crate) fn strings(&self, key: &str) -> Result<Option<Vec<&'d str>>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type_error(key, "an array of strings", value));
@@ -414,7 +414,7 @@ impl<'d> Section<'d> {
         elements.iter().enumerate().map(text).collect::<Result<_, _>>().map(Some)
     }
 
-    fn finite_number(&self, key: &str, value: &DeValue<'_>) -> Result<f64, BadInput> {
+    fn finite_number(&self, key: &str, value: &DeValue<'_>) -> Result<f64, InputFileError> {
         let number = match value {
             // Any integer of the file is taken as the nearest f64, as it would be with ".0".
             DeValue::Integer(digits) => i128::from_str_radix(digits.as_str(), digits.radix())
@@ -429,7 +429,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    fn wrong_type_error(&self, key: &str, requested: &str, there: &DeValue<'_>) -> BadInput {
+    fn wrong_type_error(&self, key: &str, requested: &str, there: &DeValue<'_>) -> InputFileError {
         let there = match there {
             DeValue::String(_) => "a string",
             DeValue::Integer(_) => "an integer",

@@ -140,8 +140,8 @@ impl NewSection {
 
     /// Returns the number `key`, if it is one of its own.
     #[must_use]
-    pub fn number_of(&self, key: &str) -> Option<f64> {
-        match self.value_of(key) {
+    pub fn number(&self, key: &str) -> Option<f64> {
+        match self.value(key) {
             Some(Value::Number(number)) => Some(*number),
             _ => None,
         }
@@ -158,7 +158,7 @@ impl NewSection {
     }
 
     /// Returns the value of `key`, if it is one of its own.
-    pub(crate) fn value_of(&self, key: &str) -> Option<&Value> {
+    pub(crate) fn value(&self, key: &str) -> Option<&Value> {
         self.entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)
     }
 
@@ -166,7 +166,7 @@ impl NewSection {
         self.retained_keys.contains(&key)
     }
 
-    pub(crate) fn remarks(&self) -> &[String] {
+    pub(crate) fn header_comments(&self) -> &[String] {
         &self.remarks
     }
 

@@ -7,10 +7,10 @@ use std::path::Path;
 
 use super::{
     key::{Key, Requirement, ValueType},
-    reader::{Document, Section},
+    reader::{Section, TomlDocument},
     section::{NewSection, Value},
 };
-use crate::location::BadInput;
+use crate::location::InputFileError;
 
 /// Declares a struct whose fields are the keys of a section:
 ///
@@ -61,7 +61,7 @@ macro_rules! table {
 
             fn read(
                 section: &$crate::keys::reader::Section<'_>,
-            ) -> Result<Self, $crate::location::BadInput> {
+            ) -> Result<Self, $crate::location::InputFileError> {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
                 let table = Self { $($field: $crate::keys::table::read_or_default(section, next())?),* };
@@ -113,7 +113,7 @@ macro_rules! choice {
             fn read_value(
                 section: &$crate::keys::reader::Section<'_>,
                 key: &$crate::keys::key::Key,
-            ) -> Result<Option<Self>, $crate::location::BadInput> {
+            ) -> Result<Option<Self>, $crate::location::InputFileError> {
                 section.choice(key.name, &Self::ALL.map(|choice| (choice.name(), choice)))
             }
 
@@ -138,7 +138,7 @@ pub(crate) trait Table: Sized {
     const NAMES: &'static [&'static str];
 
     /// Returns what stands in `section`.
-    fn read(section: &Section<'_>) -> Result<Self, BadInput>;
+    fn read(section: &Section<'_>) -> Result<Self, InputFileError>;
 
     /// Returns `section` with the keys after those that it has.
     fn write(&self, section: NewSection) -> NewSection;
@@ -147,7 +147,7 @@ pub(crate) trait Table: Sized {
 /// A value of a key.
 pub(crate) trait KeyValue: Sized {
     /// Returns what stands at `key`, if it is there.
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput>;
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError>;
 
     /// Returns it as it is written; `None` where it is not, or in a section of its own.
     fn to_value(&self, key: &Key) -> Option<Value>;
@@ -162,7 +162,7 @@ pub(crate) trait KeyValue: Sized {
 pub(crate) fn read_or_default<T: KeyValue>(
     section: &Section<'_>,
     key: &Key,
-) -> Result<T, BadInput> {
+) -> Result<T, InputFileError> {
     let there = T::read_value(section, key)?;
     section.required(key.name, there.or_else(|| resolve_default(key)))
 }
@@ -174,7 +174,7 @@ fn resolve_default<T: KeyValue>(key: &Key) -> Option<T> {
         Requirement::Optional => T::default_value(key),
         Requirement::Default(default) => {
             let text = format!("{} = {default}", key.name);
-            let document = Document::parse(&text, Path::new("")).ok()?;
+            let document = TomlDocument::parse(&text, Path::new("")).ok()?;
             T::read_value(&document.root(), key).ok().flatten()
         }
     }
@@ -182,7 +182,7 @@ fn resolve_default<T: KeyValue>(key: &Key) -> Option<T> {
 
 /// Returns a table of which no key is there; `None` where one must be.
 pub(crate) fn default_table<T: Table>() -> Option<T> {
-    let document = Document::parse("", Path::new("")).ok()?;
+    let document = TomlDocument::parse("", Path::new("")).ok()?;
     T::read(&document.root()).ok()
 }
 
@@ -200,7 +200,7 @@ pub(crate) fn write_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) 
 /// Returns the keys of a table that are written.
 pub(crate) fn entries<T: Table>(table: &T) -> Vec<(&'static str, Value)> {
     let section = table.write(NewSection::new(""));
-    let entry = |key: &'static Key| Some((key.name, section.value_of(key.name)?.clone()));
+    let entry = |key: &'static Key| Some((key.name, section.value(key.name)?.clone()));
     T::KEYS.iter().filter_map(entry).collect()
 }
 
@@ -216,7 +216,7 @@ pub(crate) fn build_inline_table(entries: Vec<(&str, Value)>) -> Value {
 }
 
 impl<T: Table> KeyValue for T {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         section.section(key.name)?.map(|inner| T::read(&inner)).transpose()
     }
 
@@ -230,7 +230,7 @@ impl<T: Table> KeyValue for T {
 }
 
 impl<T: KeyValue> KeyValue for Option<T> {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         Ok(T::read_value(section, key)?.map(Some))
     }
 
@@ -244,10 +244,10 @@ impl<T: KeyValue> KeyValue for Option<T> {
 }
 
 impl KeyValue for f64 {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         match key.form {
-            ValueType::Positive => section.positive(key.name),
-            ValueType::NotNegative => section.non_negative(key.name),
+            ValueType::Positive => section.positive_number(key.name),
+            ValueType::NotNegative => section.non_negative_number(key.name),
             _ => section.number(key.name),
         }
     }
@@ -262,7 +262,7 @@ impl KeyValue for f64 {
 }
 
 impl KeyValue for u32 {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let ValueType::Whole(least, most) = key.form else { return Ok(None) };
         section.integer(key.name, least, most)
     }
@@ -273,7 +273,7 @@ impl KeyValue for u32 {
 }
 
 impl KeyValue for u8 {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let whole = u32::read_value(section, key)?;
         Ok(whole
             .map(|integer| u8::try_from(integer).expect("the key's range is within that of u8")))
@@ -285,7 +285,7 @@ impl KeyValue for u8 {
 }
 
 impl KeyValue for u16 {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let whole = u32::read_value(section, key)?;
         Ok(whole
             .map(|integer| u16::try_from(integer).expect("the key's range is within that of u16")))
@@ -297,7 +297,7 @@ impl KeyValue for u16 {
 }
 
 impl KeyValue for bool {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         match key.form {
             ValueType::Whole(..) => Ok(u32::read_value(section, key)?.map(|whole| whole != 0)),
             _ => section.boolean(key.name),
@@ -313,7 +313,7 @@ impl KeyValue for bool {
 }
 
 impl KeyValue for String {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let text = match key.form {
             ValueType::Column => section.temperature_column(key.name)?,
             _ => section.text(key.name)?,
@@ -327,7 +327,7 @@ impl KeyValue for String {
 }
 
 impl KeyValue for Vec<String> {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let texts = section.strings(key.name)?;
         Ok(texts.map(|texts| texts.into_iter().map(str::to_string).collect()))
     }
@@ -338,7 +338,7 @@ impl KeyValue for Vec<String> {
 }
 
 impl KeyValue for Vec<f64> {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         section.numbers(key.name)
     }
 
@@ -349,7 +349,7 @@ impl KeyValue for Vec<f64> {
 
 /// Three numbers: an array, or a table with three keys.
 impl KeyValue for [f64; 3] {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let ValueType::Table([x, y, z]) = key.form else { return section.vector(key.name) };
         let Some(inner) = section.section(key.name)? else { return Ok(None) };
         Ok(Some([

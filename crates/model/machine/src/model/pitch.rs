@@ -12,7 +12,7 @@
 //! Backlash is an error of the approach in the negative direction only, which leaves the table
 //! behind: B there, 0 in the positive direction.
 
-use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_reverse};
+use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_negative_direction};
 
 /// Returns the position error in µm at `position_mm`, approached in `direction` (+1 or −1); NaN for a
 /// missing position.
@@ -27,9 +27,9 @@ use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_reverse};
 /// assert_eq!(pitch_um(&pitch, 2.5, -1.0), -250.0);
 /// ```
 #[must_use]
-pub fn pitch_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64) -> f64 {
+pub fn pitch_error_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64) -> f64 {
     let table = match &pitch.reverse_um {
-        Some(reverse_um) if is_reverse(direction) => reverse_um,
+        Some(reverse_um) if is_negative_direction(direction) => reverse_um,
         _ => &pitch.forward_um,
     };
     let (Some(&first), Some(&last)) = (table.first(), table.last()) else { return f64::NAN };
@@ -52,16 +52,16 @@ pub fn pitch_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64) -> f6
 /// second one's by where `across_mm` is on the beam.
 ///
 /// ```
-/// use trueup_machine::{file::{SecondDrive, LinearAxis, PitchErrorTable}, model::dual_pitch_um};
+/// use trueup_machine::{file::{SecondDrive, LinearAxis, PitchErrorTable}, model::dual_pitch_error_um};
 /// let table = |um| PitchErrorTable { start_mm: 0.0, step_mm: 1.0, forward_um: vec![um], reverse_um: None };
 /// let dual = SecondDrive {
 ///     across: LinearAxis::Y, first_mm: 0.0, second_mm: 3000.0, pitch: table(8.0),
 /// };
 /// // A quarter of the way: 3/4 · 4 + 1/4 · 8
-/// assert_eq!(dual_pitch_um(&table(4.0), &dual, 500.0, 750.0, 1.0), 5.0);
+/// assert_eq!(dual_pitch_error_um(&table(4.0), &dual, 500.0, 750.0, 1.0), 5.0);
 /// ```
 #[must_use]
-pub fn dual_pitch_um(
+pub fn dual_pitch_error_um(
     pitch: &PitchErrorTable,
     dual: &SecondDrive,
     position_mm: f64,
@@ -70,8 +70,8 @@ pub fn dual_pitch_um(
 ) -> f64 {
     let share = (across_mm - dual.first_mm) / (dual.second_mm - dual.first_mm);
     let share = share.clamp(0.0, 1.0);
-    let first_um = pitch_um(pitch, position_mm, direction);
-    let second_um = pitch_um(&dual.pitch, position_mm, direction);
+    let first_um = pitch_error_um(pitch, position_mm, direction);
+    let second_um = pitch_error_um(&dual.pitch, position_mm, direction);
     (1.0 - share) * first_um + share * second_um
 }
 
@@ -84,7 +84,7 @@ pub fn dual_pitch_um(
 /// ```
 #[must_use]
 pub fn backlash_um(backlash: &Backlash, direction: f64) -> f64 {
-    if is_reverse(direction) { backlash.width_um } else { 0.0 }
+    if is_negative_direction(direction) { backlash.width_um } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -114,23 +114,23 @@ mod tests {
             (1e300, 2.0),
             (f64::INFINITY, 2.0),
         ] {
-            let there = pitch_um(&both_ways(), position_mm, 1.0);
+            let there = pitch_error_um(&both_ways(), position_mm, 1.0);
             assert!((there - um).abs() < 1e-12, "{position_mm} mm: {there}");
         }
-        assert!(pitch_um(&both_ways(), f64::NAN, 1.0).is_nan());
+        assert!(pitch_error_um(&both_ways(), f64::NAN, 1.0).is_nan());
     }
 
     #[test]
     fn the_direction_of_approach_chooses_the_table_and_a_missing_one_is_forward() {
-        assert_eq!(pitch_um(&both_ways(), 0.0, -1.0), 2.0);
-        assert_eq!(pitch_um(&both_ways(), 0.0, f64::NAN), 1.5);
+        assert_eq!(pitch_error_um(&both_ways(), 0.0, -1.0), 2.0);
+        assert_eq!(pitch_error_um(&both_ways(), 0.0, f64::NAN), 1.5);
     }
 
     #[test]
     fn a_single_point_holds_everywhere() {
         let one = PitchErrorTable { forward_um: vec![7.0], reverse_um: None, ..both_ways() };
         for position_mm in [-1e6, -100.0, 0.0, 1e6] {
-            assert_eq!(pitch_um(&one, position_mm, -1.0), 7.0);
+            assert_eq!(pitch_error_um(&one, position_mm, -1.0), 7.0);
         }
     }
 
@@ -142,7 +142,7 @@ mod tests {
             forward_um: vec![0.0, 1000.0],
             ..both_ways()
         };
-        assert_eq!(pitch_um(&far, 10.0, 1.0), 1000.0);
+        assert_eq!(pitch_error_um(&far, 10.0, 1.0), 1000.0);
     }
 
     #[test]
@@ -154,7 +154,7 @@ mod tests {
             second_mm: 0.0,
             pitch: table(8.0),
         };
-        let at = |across_mm| dual_pitch_um(&table(4.0), &dual, 0.0, across_mm, 1.0);
+        let at = |across_mm| dual_pitch_error_um(&table(4.0), &dual, 0.0, across_mm, 1.0);
         assert_eq!((at(4000.0), at(3000.0)), (4.0, 4.0));
         assert_eq!((at(0.0), at(-1.0)), (8.0, 8.0));
         assert_eq!(at(1500.0), 6.0);

@@ -14,6 +14,6 @@ use crate::sections::Squareness;
 /// assert_eq!(squareness_um(&angle, -500.0), -6.0);
 /// ```
 #[must_use]
-pub fn squareness_um(squareness: &Squareness, along_mm: f64) -> f64 {
+pub fn squareness_error_um(squareness: &Squareness, along_mm: f64) -> f64 {
     squareness.um_per_m * along_mm / 1000.0
 }

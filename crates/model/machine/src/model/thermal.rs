@@ -73,13 +73,13 @@ fn interpolate_table(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// assert!((thermal_um(&axis, 42.0, 1000.0) - 269.99).abs() < 1e-9);
 /// ```
 #[must_use]
-pub fn thermal_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f64 {
+pub fn thermal_error_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f64 {
     let (constant_um, slope_um_per_m) = thermal_coefficients(axis, temperature_c);
     let mut error_um = 0.0;
-    if axis.mode.has_constant() {
+    if axis.mode.has_constant_term() {
         error_um += constant_um;
     }
-    if axis.mode.has_position() {
+    if axis.mode.has_position_term() {
         error_um += slope_um_per_m * (position_mm - axis.origin_mm) / 1000.0;
     }
     error_um
@@ -106,22 +106,22 @@ mod tests {
 
     #[test]
     fn the_papers_axis_is_270_um_too_long_at_one_metre_when_it_is_hot() {
-        assert_eq!(thermal_um(&paper(), 23.0, 1000.0), 0.0);
-        assert!((thermal_um(&paper(), 42.0, 1000.0) - 269.99).abs() < 1e-9);
-        assert!((thermal_um(&paper(), 42.0, -500.0) + 134.995).abs() < 1e-9);
-        assert!((thermal_um(&paper(), 4.0, 1000.0) + 269.99).abs() < 1e-9);
+        assert_eq!(thermal_error_um(&paper(), 23.0, 1000.0), 0.0);
+        assert!((thermal_error_um(&paper(), 42.0, 1000.0) - 269.99).abs() < 1e-9);
+        assert!((thermal_error_um(&paper(), 42.0, -500.0) + 134.995).abs() < 1e-9);
+        assert!((thermal_error_um(&paper(), 4.0, 1000.0) + 269.99).abs() < 1e-9);
     }
 
     #[test]
     fn five_metres_of_steel_grow_50_um_for_one_kelvin() {
         let steel = ThermalLaw { reference_c: 20.0, slope_um_per_m_per_c: 10.0, ..paper() };
-        assert_eq!(thermal_um(&steel, 21.0, 5000.0), 50.0);
+        assert_eq!(thermal_error_um(&steel, 21.0, 5000.0), 50.0);
     }
 
     #[test]
     fn the_mode_chooses_the_terms() {
         let axis = ThermalLaw { constant_um_per_c: 2.0, slope_um_per_m_per_c: 10.0, ..paper() };
-        let at = |mode| thermal_um(&ThermalLaw { mode, ..axis.clone() }, 26.0, 500.0);
+        let at = |mode| thermal_error_um(&ThermalLaw { mode, ..axis.clone() }, 26.0, 500.0);
         assert_eq!(at(ThermalMode::Constant), 6.0);
         assert_eq!(at(ThermalMode::Position), 15.0);
         assert_eq!(at(ThermalMode::Both), 21.0);
@@ -130,16 +130,16 @@ mod tests {
     #[test]
     fn nothing_of_the_second_term_is_left_at_its_origin() {
         let axis = ThermalLaw { origin_mm: 250.0, ..paper() };
-        assert_eq!(thermal_um(&axis, 42.0, 250.0), 0.0);
-        assert!((thermal_um(&axis, 33.0, 1250.0) - 142.1).abs() < 1e-9);
+        assert_eq!(thermal_error_um(&axis, 42.0, 250.0), 0.0);
+        assert!((thermal_error_um(&axis, 33.0, 1250.0) - 142.1).abs() < 1e-9);
     }
 
     #[test]
     fn a_position_that_does_not_count_may_be_missing() {
         let axis = ThermalLaw { mode: ThermalMode::Constant, constant_um_per_c: 2.0, ..paper() };
-        assert_eq!(thermal_um(&axis, 24.0, f64::NAN), 2.0);
-        assert!(thermal_um(&paper(), 24.0, f64::NAN).is_nan());
-        assert!(thermal_um(&axis, f64::NAN, 0.0).is_nan());
+        assert_eq!(thermal_error_um(&axis, 24.0, f64::NAN), 2.0);
+        assert!(thermal_error_um(&paper(), 24.0, f64::NAN).is_nan());
+        assert!(thermal_error_um(&axis, f64::NAN, 0.0).is_nan());
     }
 
     #[test]
@@ -163,6 +163,6 @@ mod tests {
             assert_eq!(thermal_coefficients(&axis, temperature_c), expected, "{temperature_c} °C");
         }
         assert!(thermal_coefficients(&axis, f64::NAN).0.is_nan());
-        assert_eq!(thermal_um(&axis, 42.0, 1000.0), 270.0);
+        assert_eq!(thermal_error_um(&axis, 42.0, 1000.0), 270.0);
     }
 }

@@ -3,14 +3,14 @@
 use crate::{
     effect::{Dependence, DependenceForm, Effect, Multiplier, Quantity},
     file::Term,
-    sections::{Tool, Tools},
+    sections::{ToolGrowth, ToolGrowthList},
     tool::{TOOL_COLUMN, label_code},
 };
 
 /// Returns the term that the list of `[spindle.tools]` is.
 #[must_use]
-pub(crate) fn tool_growth_term(list: &Tools) -> Term {
-    let levels = |tool: &Tool| {
+pub(crate) fn tool_growth_term(list: &ToolGrowthList) -> Term {
+    let levels = |tool: &ToolGrowth| {
         let code = tool.label.as_deref().map(label_code);
         let um = tool.um_per_krpm2;
         tool.number.map(f64::from).into_iter().chain(code).map(move |number| (number, um))

@@ -23,10 +23,10 @@ use super::kinematics::rotate_about_axis;
 use crate::{
     file::Machine,
     sections::{
-        Angle, AngularErrorMotion, Chain, LinearAxis, RotaryAxis, RotaryLocationErrors,
+        AngleProfile, AngularErrorMotion, AxisChain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry,
     },
-    spline::spline_um,
+    spline::spline_value_um,
 };
 
 /// Returns the error of the tip of `tool` on X, Y and Z in µm; 0 without angular and location errors. A position, an
@@ -80,10 +80,10 @@ fn rotation_levers(about: RotaryAxis) -> [(LinearAxis, LinearAxis, f64); 2] {
     }
 }
 
-fn angle_urad(angle: &Angle, place_mm: f64) -> f64 {
+fn angle_urad(angle: &AngleProfile, place_mm: f64) -> f64 {
     match angle {
-        Angle::Line(urad_per_m) => urad_per_m * place_mm / 1000.0,
-        Angle::Curve(spline) => spline_um(spline, place_mm),
+        AngleProfile::Line(urad_per_m) => urad_per_m * place_mm / 1000.0,
+        AngleProfile::Curve(spline) => spline_value_um(spline, place_mm),
     }
 }
 
@@ -91,7 +91,7 @@ fn angle_urad(angle: &Angle, place_mm: f64) -> f64 {
 fn tip_and_head_error(
     machine: &Machine,
     tool: ToolGeometry,
-    chain: &Chain,
+    chain: &AxisChain,
     angle_deg: [f64; 3],
 ) -> ([f64; 3], [f64; 3]) {
     let volume = &machine.volume;
@@ -118,7 +118,7 @@ fn tip_and_head_error(
 /// Returns the errors of the axes that turn the workpiece, in µm: how far it is off at the tip.
 fn table_axes_error_um(
     machine: &Machine,
-    chain: &Chain,
+    chain: &AxisChain,
     tip_mm: [f64; 3],
     position_mm: [f64; 3],
     angle_deg: [f64; 3],

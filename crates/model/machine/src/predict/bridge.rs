@@ -2,7 +2,7 @@
 
 use trueup_core::{
     calibration::Calibration,
-    cnc::Conditions,
+    cnc::MachineConditions,
     dimensions::{CHANNEL_COUNT, THERMAL_STEP_MS},
     lag::SmoothingFactor,
     machine_position::MachinePosition,
@@ -15,13 +15,17 @@ use trueup_core::{
 
 use crate::{
     compile::{
-        CompiledCalibration, board_conditions, compile, first_free_bit, term::LOAD_UNITS_PER_NEWTON,
+        CompiledCalibration, board_condition_columns, compile, first_free_condition_bit,
+        term::LOAD_UNITS_PER_NEWTON,
     },
     effect::BoardTerm,
     file::Machine,
-    inputs::{ConditionInput, Inputs, MAX_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    inputs::{
+        ConditionInput, Inputs, MAX_TEMPERATURE_CHANNEL, SensorInput, TemperatureInput,
+        TemperatureKind,
+    },
     model::{ErrorValues, RowInputs},
-    sections::{ElongationSource, Tools},
+    sections::{ElongationSource, ToolGrowthList},
     tool::TOOL_COLUMN,
     unit_conversion::{NM_PER_UM, POSITION_UNITS_PER_MM},
 };
@@ -72,11 +76,11 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
     let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature_column());
     let used: Vec<String> =
         axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
-    let of_conditions = board_conditions(&wired);
+    let of_conditions = board_condition_columns(&wired);
     let inputs = wired.inputs.get_or_insert_with(Inputs::default);
     for name in of_conditions {
         if !inputs.conditions.contains_key(&name)
-            && let Some(bit) = first_free_bit(inputs)
+            && let Some(bit) = first_free_condition_bit(inputs)
         {
             inputs.conditions.insert(name, ConditionInput { bit, default: false });
         }
@@ -86,7 +90,7 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
             inputs.temperatures.values().any(|temperature| temperature.channel == *channel)
         };
         if !inputs.temperatures.contains_key(&name)
-            && let Some(channel) = (0..=MAX_CHANNEL).find(|channel| !taken(channel))
+            && let Some(channel) = (0..=MAX_TEMPERATURE_CHANNEL).find(|channel| !taken(channel))
         {
             let input =
                 TemperatureInput { channel, kind: TemperatureKind::Pt100, max_c_per_min: None };
@@ -121,7 +125,12 @@ impl<'b> BridgeRun<'b> {
             calibration: bridge.compiled.calibration(),
             angle_axes: machine.angle_axes().iter().map(|axis| axis.index()).collect(),
             rated: to_board_rpm(rated.unwrap_or(1.0)),
-            codes: machine.spindle.tools.iter().flat_map(Tools::label_codes).collect(),
+            codes: machine
+                .spindle
+                .tools
+                .iter()
+                .flat_map(ToolGrowthList::numbered_label_codes)
+                .collect(),
             starts_s: machine
                 .terms
                 .iter()
@@ -189,7 +198,7 @@ impl<'b> BridgeRun<'b> {
         let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, code)| *code);
         // A cast from f64 saturates: a label that is not known is tool 0.
         let tool = of_label.unwrap_or(value as u16);
-        self.heat.set_conditions(&self.calibration, Some(Conditions { tool, bits }));
+        self.heat.set_conditions(&self.calibration, Some(MachineConditions { tool, bits }));
         let speed = situation.spindle_rpm.map_or(self.rated, to_board_rpm);
         self.heat.update_speed(&self.calibration, speed);
     }
@@ -198,7 +207,7 @@ impl<'b> BridgeRun<'b> {
     /// it to the next.
     fn step_thermal(&mut self, situation: &RowInputs<'_>) {
         /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
-        const MAX_STEPS: u64 = 10_000_000;
+        const MAX_THERMAL_STEPS: u64 = 10_000_000;
         let temperatures: [Option<Temperature>; CHANNEL_COUNT] = std::array::from_fn(|channel| {
             let name = self.bridge.channels[channel].as_ref()?;
             let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
@@ -223,7 +232,7 @@ impl<'b> BridgeRun<'b> {
         }
         let (start_s, done) = self.clock.get_or_insert((time_s, 0));
         let due = ((time_s - *start_s) * 1_000.0 / f64::from(THERMAL_STEP_MS)).round() as u64;
-        let steps = due.saturating_sub(*done).min(MAX_STEPS);
+        let steps = due.saturating_sub(*done).min(MAX_THERMAL_STEPS);
         *done = due;
         for _ in 0..steps {
             self.heat.step(&self.calibration, &temperatures, speed);

@@ -12,7 +12,7 @@ use crate::{
 
 /// The columns of the run that the model knows.
 #[derive(Clone, Debug)]
-pub(super) struct Columns<'a> {
+pub(super) struct ModelColumns<'a> {
     pub(super) time_s: Option<&'a [f64]>,
     pub(super) run: Option<&'a [f64]>,
     pub(super) sensor_counts: Option<&'a [f64]>,
@@ -28,7 +28,7 @@ pub(super) struct Columns<'a> {
     pub(super) tool_length_mm: Option<&'a [f64]>,
 }
 
-impl<'a> Columns<'a> {
+impl<'a> ModelColumns<'a> {
     pub(super) fn new(machine: &Machine, run: &'a RunFile) -> Self {
         let linear =
             |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));

@@ -12,7 +12,7 @@ const MAX_15_DIGIT_INTEGER: f64 = 1e15;
 const POWERS_OF_TEN: [f64; 7] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6];
 
 /// Writes what `{value}` prints: the fewest digits that read as the same number.
-pub(super) fn write_shortest(out: &mut impl Write, value: f64) -> io::Result<()> {
+pub(super) fn write_shortest_decimal(out: &mut impl Write, value: f64) -> io::Result<()> {
     for (decimals, power) in POWERS_OF_TEN.into_iter().enumerate() {
         let scaled = (value * power).round();
         if scaled.abs() >= MAX_15_DIGIT_INTEGER {
@@ -72,7 +72,7 @@ mod tests {
 
     fn both(value: f64) -> [String; 2] {
         let (mut shortest, mut micro) = (Vec::new(), Vec::new());
-        write_shortest(&mut shortest, value).expect("a Vec takes everything");
+        write_shortest_decimal(&mut shortest, value).expect("a Vec takes everything");
         write_six_decimals(&mut micro, value).expect("a Vec takes everything");
         [shortest, micro].map(|text| String::from_utf8(text).expect("digits"))
     }

@@ -6,30 +6,30 @@ use super::RunFile;
 use crate::{file::Machine, model::sensor_counts_from_elongation};
 
 /// The column that a record of a bridge has.
-const CRC_COLUMN: &str = "calibration_crc";
+const CALIBRATION_CRC_COLUMN: &str = "calibration_crc";
 /// The column of the elongation that the bridge has made of the sensor's reading, in µm.
 const ELONGATION_COLUMN: &str = "elongation_um";
-const COUNTS_COLUMN: &str = "sensor_counts";
+const SENSOR_COUNTS_COLUMN: &str = "sensor_counts";
 
 impl RunFile {
     /// Returns the record with the columns that `trueup bridge monitor --record … --machine` gives it. Any other run
     /// stays unchanged.
     #[must_use]
-    pub fn with_machine_names(mut self, machine: &Machine) -> Self {
-        if self.column(CRC_COLUMN).is_none() {
+    pub fn with_machine_column_names(mut self, machine: &Machine) -> Self {
+        if self.column(CALIBRATION_CRC_COLUMN).is_none() {
             return self;
         }
         if let (Some(um), Some(sensor), None) = (
             self.column(ELONGATION_COLUMN),
             machine.board_sensor_model(),
-            self.column(COUNTS_COLUMN),
+            self.column(SENSOR_COUNTS_COLUMN),
         ) {
             let counts: Vec<f64> =
                 um.iter().map(|um| sensor_counts_from_elongation(sensor, *um)).collect();
-            self.add_column(COUNTS_COLUMN, ELONGATION_COLUMN, counts);
+            self.add_column(SENSOR_COUNTS_COLUMN, ELONGATION_COLUMN, counts);
             self.remove_columns(|name| name == ELONGATION_COLUMN);
         }
-        for channel in 0..=crate::inputs::MAX_CHANNEL {
+        for channel in 0..=crate::inputs::MAX_TEMPERATURE_CHANNEL {
             let unnamed = format!("temp_channel{channel}_c");
             let Some(values) = self.column(&unnamed) else { continue };
             let is_empty = values.iter().all(|value| value.is_nan());
@@ -72,7 +72,7 @@ mod tests {
         };
         let record = "time_s,calibration_crc,elongation_um,temp_channel1_c,temp_channel2_c,temp_channel3_c\n\
                       0,7,3,,21.5,19\n1,7,5,,22,19\n";
-        let run = read(record).with_machine_names(&machine);
+        let run = read(record).with_machine_column_names(&machine);
         // (3 − 1)/0.02 and (5 − 1)/0.02 above the zero.
         assert_eq!(run.column("sensor_counts"), Some(&[5_100.0, 5_200.0][..]));
         assert_eq!(run.column("temp_coil_c"), Some(&[21.5, 22.0][..]));
@@ -83,7 +83,8 @@ mod tests {
             assert!(!names.contains(&gone), "{names:?}");
         }
         // A run that is no record of a bridge keeps what it has.
-        let run = read(&record.replace("calibration_crc", "batch")).with_machine_names(&machine);
+        let run =
+            read(&record.replace("calibration_crc", "batch")).with_machine_column_names(&machine);
         assert!(run.column("elongation_um").is_some() && run.column("sensor_counts").is_none());
     }
 }

@@ -1,19 +1,19 @@
 //! The faults of a run file, listed up to a limit: a logger that writes decimal commas has a fault in
 //! every row.
 
-use crate::location::{BadInput, MAX_LISTED_FAULTS};
+use crate::location::{InputFileError, MAX_LISTED_ERRORS};
 
 /// The faults so far: what is not listed is counted.
 #[derive(Default)]
-pub(super) struct FaultList {
+pub(super) struct InputErrorList {
     /// In the order of the file.
-    listed: Vec<BadInput>,
+    listed: Vec<InputFileError>,
     unlisted: usize,
 }
 
-impl FaultList {
-    pub(super) fn push(&mut self, fault: BadInput) {
-        if self.listed.len() < MAX_LISTED_FAULTS {
+impl InputErrorList {
+    pub(super) fn push(&mut self, fault: InputFileError) {
+        if self.listed.len() < MAX_LISTED_ERRORS {
             self.listed.push(fault);
         } else {
             self.unlisted += 1;
@@ -25,8 +25,8 @@ impl FaultList {
     }
 
     /// Returns all of them as one; `None` without any.
-    pub(super) fn into_error(self) -> Option<BadInput> {
-        let error = BadInput::combine(self.listed)?;
-        Some(BadInput { unlisted: error.unlisted + self.unlisted, ..error })
+    pub(super) fn into_error(self) -> Option<InputFileError> {
+        let error = InputFileError::combine(self.listed)?;
+        Some(InputFileError { unlisted: error.unlisted + self.unlisted, ..error })
     }
 }

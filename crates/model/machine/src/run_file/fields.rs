@@ -38,7 +38,7 @@ pub(super) struct Field<'l> {
 }
 
 /// A quoted field that does not end as it must.
-pub(super) struct BadQuote {
+pub(super) struct QuoteError {
     /// In which column it begins, from 1.
     pub(super) column: usize,
     pub(super) rule: &'static str,
@@ -68,7 +68,7 @@ impl<'l> Fields<'l> {
 }
 
 impl<'l> Iterator for Fields<'l> {
-    type Item = Result<Field<'l>, BadQuote>;
+    type Item = Result<Field<'l>, QuoteError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let rest = self.rest.take()?;
@@ -83,7 +83,10 @@ impl<'l> Iterator for Fields<'l> {
             return Some(Ok(Field { text, column }));
         };
         let Some(end) = find_closing_quote(quoted) else {
-            return Some(Err(BadQuote { column, rule: "a quoted field must end on its own line" }));
+            return Some(Err(QuoteError {
+                column,
+                rule: "a quoted field must end on its own line",
+            }));
         };
         let text = &quoted[..end];
         let after = blanks + 1 + end + 1;
@@ -91,7 +94,7 @@ impl<'l> Iterator for Fields<'l> {
         if !rest[after..length].trim().is_empty() {
             let column = self.column + rest[..after].chars().count();
             let rule = "a quoted field must be followed by a separator or the end of the line";
-            return Some(Err(BadQuote { column, rule }));
+            return Some(Err(QuoteError { column, rule }));
         }
         self.take_field(rest, length);
         let text =

@@ -7,7 +7,7 @@ use std::{
 
 use crate::{
     bounded_read::size_limit_text,
-    location::{BadInput, Location},
+    location::{InputFileError, Location},
 };
 
 /// The longest line that is read, in bytes, its end included: the bytes of ten times as many
@@ -17,13 +17,13 @@ const MAX_LINE_BYTES: usize = 1 << 20;
 /// The lines that a fault keeps from being read.
 pub(super) enum LineReadError {
     /// This line; the next one can be.
-    Line(BadInput),
+    Line(InputFileError),
     /// This line and all after it.
-    Rest(BadInput),
+    Rest(InputFileError),
 }
 
 impl LineReadError {
-    pub(super) fn into_error(self) -> BadInput {
+    pub(super) fn into_error(self) -> InputFileError {
         let (Self::Line(error) | Self::Rest(error)) = self;
         error
     }
@@ -75,7 +75,7 @@ impl<'p, S: BufRead> Lines<'p, S> {
         let most = MAX_LINE_BYTES as u64 + 1;
         let read = self.source.by_ref().take(most).read_until(b'\n', &mut self.bytes).map_err(
             |error| {
-                LineReadError::Rest(BadInput::new(
+                LineReadError::Rest(InputFileError::new(
                     self.location(1),
                     format!("cannot be read: {error}"),
                 ))
@@ -86,12 +86,12 @@ impl<'p, S: BufRead> Lines<'p, S> {
                 "the line is longer than {MAX_LINE_BYTES} bytes: a run file has one \
                  observation a line"
             );
-            return Err(LineReadError::Rest(BadInput::new(self.location(1), rule)));
+            return Err(LineReadError::Rest(InputFileError::new(self.location(1), rule)));
         }
         self.file_bytes += read as u64;
         if self.file_bytes > self.most_bytes {
             let rule = format!("the file goes on here, {}", size_limit_text(self.most_bytes));
-            return Err(LineReadError::Rest(BadInput::new(self.location(1), rule)));
+            return Err(LineReadError::Rest(InputFileError::new(self.location(1), rule)));
         }
         let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);
         bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
@@ -101,14 +101,14 @@ impl<'p, S: BufRead> Lines<'p, S> {
         let text = str::from_utf8(bytes).map_err(|error| {
             let column = String::from_utf8_lossy(&bytes[..error.valid_up_to()]).chars().count() + 1;
             LineReadError::Line(
-                BadInput::new(self.location(column), "is not UTF-8 text")
+                InputFileError::new(self.location(column), "is not UTF-8 text")
                     .with_help("save the file as UTF-8; µ and ° of another encoding are not read"),
             )
         })?;
         if let Some(at) = text.find('\r') {
             let column = text[..at].chars().count() + 1;
             let rule = "a carriage return alone does not end a line: use LF or CRLF";
-            return Err(LineReadError::Line(BadInput::new(self.location(column), rule)));
+            return Err(LineReadError::Line(InputFileError::new(self.location(column), rule)));
         }
         Ok((read > 0).then(|| RunLine { text: text.into(), number: self.number }))
     }

@@ -9,18 +9,18 @@ use trueup_output::escape::{escape_line, shell_quote};
 use super::{
     cells::ColumnFormats,
     clock, column_typos,
-    faults::FaultList,
+    faults::InputErrorList,
     field_positions::FieldPositions,
-    fields::{BadQuote, Fields, detect_separator, parse_separator_line},
+    fields::{Fields, QuoteError, detect_separator, parse_separator_line},
     label,
     line::{LineReadError, Lines, RunLine},
     numeric_row,
-    table::{Column, ColumnTypo, MAX_COLUMNS, RunTable, SizeLimits},
+    table::{Column, ColumnTypo, MAX_RUN_FILE_COLUMNS, RunTable, SizeLimits},
     time_order::TimeOrder,
 };
 use crate::{
     known_columns,
-    location::{BadInput, Location, truncate_text},
+    location::{InputFileError, Location, truncate_text},
 };
 
 /// A file that is being read.
@@ -36,7 +36,7 @@ pub(super) struct RunReader<'p> {
     order: TimeOrder,
     /// The row that is being read: values, and where each stands.
     row: Vec<(f64, usize)>,
-    faults: FaultList,
+    faults: InputErrorList,
 }
 
 /// The column of a lathe's diameters.
@@ -61,7 +61,7 @@ pub(super) fn read(
     bounds: SizeLimits,
     source: impl BufRead,
     path: &Path,
-) -> Result<RunTable, BadInput> {
+) -> Result<RunTable, InputFileError> {
     let mut lines = Lines::new(source, path, bounds.bytes);
     let mut stated = None;
     let header = loop {
@@ -73,7 +73,7 @@ pub(super) fn read(
             Some(_) => {}
             None => {
                 let rule = "is empty: a run file needs a header row with the names of its columns";
-                return Err(BadInput::new(Location::start_of_file(path), rule));
+                return Err(InputFileError::new(Location::start_of_file(path), rule));
             }
         }
     };
@@ -103,18 +103,22 @@ pub(super) fn read(
 }
 
 impl<'p> RunReader<'p> {
-    fn from_header(line: &RunLine, path: &'p Path, stated: Option<char>) -> Result<Self, BadInput> {
+    fn from_header(
+        line: &RunLine,
+        path: &'p Path,
+        stated: Option<char>,
+    ) -> Result<Self, InputFileError> {
         let separator = stated.unwrap_or_else(|| detect_separator(&line.text));
         let mut columns: Vec<ColumnBuilder> = Vec::new();
         let mut slips = Vec::new();
-        let mut faults = FaultList::default();
+        let mut faults = InputErrorList::default();
         let mut first_of_name = HashMap::new();
         for field in Fields::new(&line.text, separator) {
-            let field = field.map_err(|fault| bad_quote_error(line, path, fault))?;
+            let field = field.map_err(|fault| input_error_from_quote(line, path, fault))?;
             // What would move a terminal's cursor is written out from here on, in every report and file.
             let shown = escape_line(field.text.trim());
             let name = shown.as_str();
-            let bad = |rule: String| BadInput::new(line.location(path, field.column), rule);
+            let bad = |rule: String| InputFileError::new(line.location(path, field.column), rule);
             let number = columns.len() + 1;
             // Where these are wrong it is unknown what the rows should be.
             if name.parse::<f64>().is_ok() {
@@ -129,8 +133,8 @@ impl<'p> RunReader<'p> {
             if field.text.trim().contains('\t') {
                 return Err(bad("columns must be separated by , or ; and not by tabs".into()));
             }
-            if columns.len() == MAX_COLUMNS {
-                return Err(bad(format!("more than {MAX_COLUMNS} columns")));
+            if columns.len() == MAX_RUN_FILE_COLUMNS {
+                return Err(bad(format!("more than {MAX_RUN_FILE_COLUMNS} columns")));
             }
             if name.is_empty() {
                 faults.push(bad(format!("column {number} has no name")).with_help(
@@ -182,21 +186,21 @@ impl<'p> RunReader<'p> {
     }
 
     /// Refuses the row on `line` where it would make more than `most` values.
-    fn check_value_limit(&self, line: &RunLine, most: usize) -> Result<(), BadInput> {
+    fn check_value_limit(&self, line: &RunLine, most: usize) -> Result<(), InputFileError> {
         let columns = self.columns.len();
         if (self.line_of_row.len() + 1) * columns <= most {
             return Ok(());
         }
         let rule =
             format!("more than {most} values ({columns} columns): leave out rows or columns");
-        Err(BadInput::new(line.location(self.path, 1), rule))
+        Err(InputFileError::new(line.location(self.path, 1), rule))
     }
 
     /// Takes the rows on `lines`, or notes what is wrong with them; false where there is no room for more values
     /// than `most`.
-    fn read_rows(&mut self, lines: &[Result<RunLine, BadInput>], most: usize) -> bool {
+    fn read_rows(&mut self, lines: &[Result<RunLine, InputFileError>], most: usize) -> bool {
         let (columns, separator) = (self.columns.len(), self.separator);
-        let plain = |line: &Result<RunLine, BadInput>| {
+        let plain = |line: &Result<RunLine, InputFileError>| {
             let line = line.as_ref().ok()?;
             numeric_row::parse_numeric_row(&line.text, separator, columns)
         };
@@ -220,7 +224,7 @@ impl<'p> RunReader<'p> {
     fn read_row(&mut self, line: &RunLine, plain: Option<Vec<(f64, usize)>>) {
         let faults_before = self.faults.count();
         self.row = plain.unwrap_or_default();
-        if self.row.is_empty() || !self.cells.record_numbers(&self.row) || self.has_bad_cell() {
+        if self.row.is_empty() || !self.cells.record_numbers(&self.row) || self.has_invalid_cell() {
             self.row.clear();
             self.read_fields(line);
         }
@@ -228,7 +232,7 @@ impl<'p> RunReader<'p> {
             return;
         }
         if let Err((column, rule, is_hour)) = self.order.check_row(&self.row, &self.cells) {
-            self.report_time_reversal(line, column, &rule, is_hour);
+            self.record_time_reversal(line, column, &rule, is_hour);
         }
         if self.faults.count() != faults_before {
             return;
@@ -249,7 +253,7 @@ impl<'p> RunReader<'p> {
                 Ok(field) => field,
                 Err(fault) => {
                     self.row.clear();
-                    return self.faults.push(bad_quote_error(line, self.path, fault));
+                    return self.faults.push(input_error_from_quote(line, self.path, fault));
                 }
             };
             let there = self.row.len();
@@ -274,7 +278,7 @@ impl<'p> RunReader<'p> {
             match read {
                 Ok(value) => self.row.push((value, field.column)),
                 Err(rule) => {
-                    self.report_fault(line, field.column, there, &rule);
+                    self.record_value_error(line, field.column, there, &rule);
                     self.row.push((f64::NAN, field.column));
                 }
             }
@@ -284,14 +288,14 @@ impl<'p> RunReader<'p> {
             let missing = &self.columns[there].name;
             let rule = format!("the row has {there} fields, the header {requested}: no {missing}");
             let end = line.text.chars().count() + 1;
-            let error = BadInput::new(line.location(self.path, end), rule);
+            let error = InputFileError::new(line.location(self.path, end), rule);
             self.faults.push(error.with_help(
                 "every row has a field for each column; one without a value is left empty",
             ));
         }
     }
 
-    fn has_bad_cell(&self) -> bool {
+    fn has_invalid_cell(&self) -> bool {
         let mut fields = self.columns.iter().zip(&self.row);
         fields.any(|(column, (value, _))| {
             column.is_direction && check_direction(*value).is_err()
@@ -299,7 +303,7 @@ impl<'p> RunReader<'p> {
         })
     }
 
-    fn too_many_fields_error(&self, line: &RunLine, column: usize) -> BadInput {
+    fn too_many_fields_error(&self, line: &RunLine, column: usize) -> InputFileError {
         let requested = self.columns.len();
         let fields = Fields::new(&line.text, self.separator).count();
         let (hint, help) = match self.separator {
@@ -310,21 +314,22 @@ impl<'p> RunReader<'p> {
             _ => ("", "every row has one field for each column of the header"),
         };
         let rule = format!("the row has {fields} fields, the header {requested}{hint}");
-        BadInput::new(line.location(self.path, column), rule).with_help(help)
+        InputFileError::new(line.location(self.path, column), rule).with_help(help)
     }
 
     /// The value of a column breaks a rule, which goes on after the column's name.
-    fn report_fault(&mut self, line: &RunLine, place: usize, column: usize, rule: &str) {
+    fn record_value_error(&mut self, line: &RunLine, place: usize, column: usize, rule: &str) {
         let name = &self.columns[column].name;
         let place = line.location(self.path, place);
-        self.faults
-            .push(BadInput::new(place, format!("{name} {rule}")).with_help(column_help(name)));
+        self.faults.push(
+            InputFileError::new(place, format!("{name} {rule}")).with_help(column_help(name)),
+        );
     }
 
     /// The time runs back within a run; by an hour it may be summer time, which `import` takes out.
-    fn report_time_reversal(&mut self, line: &RunLine, column: usize, rule: &str, is_hour: bool) {
+    fn record_time_reversal(&mut self, line: &RunLine, column: usize, rule: &str, is_hour: bool) {
         if !is_hour {
-            return self.report_fault(line, self.row[column].1, column, rule);
+            return self.record_value_error(line, self.row[column].1, column, rule);
         }
         let word = |path: &Path| shell_quote(&path.to_string_lossy());
         let help = format!(
@@ -336,17 +341,17 @@ impl<'p> RunReader<'p> {
         );
         let place = line.location(self.path, self.row[column].1);
         let rule = format!("{} {rule}", self.columns[column].name);
-        self.faults.push(BadInput::new(place, rule).with_help(help));
+        self.faults.push(InputFileError::new(place, rule).with_help(help));
     }
 
     /// Returns the run, or all that is wrong with it.
-    fn finish(self) -> Result<RunTable, BadInput> {
+    fn finish(self) -> Result<RunTable, InputFileError> {
         if let Some(error) = self.faults.into_error() {
             return Err(error);
         }
         if self.line_of_row.is_empty() {
             let header = Location { file: self.path.into(), line: self.header_line, column: 1 };
-            return Err(BadInput::new(header, "there is a header row, but no row of values"));
+            return Err(InputFileError::new(header, "there is a header row, but no row of values"));
         }
         let columns = self.columns.into_iter().map(|mut column| {
             if column.is_diameter {
@@ -371,8 +376,8 @@ impl<'p> RunReader<'p> {
     }
 }
 
-fn bad_quote_error(line: &RunLine, path: &Path, fault: BadQuote) -> BadInput {
-    BadInput::new(line.location(path, fault.column), fault.rule)
+fn input_error_from_quote(line: &RunLine, path: &Path, fault: QuoteError) -> InputFileError {
+    InputFileError::new(line.location(path, fault.column), fault.rule)
         .with_help("numbers need no quotes; a quote inside a quoted name is written twice")
 }
 

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use super::field_positions::FieldPositions;
 
 /// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
-pub(crate) const MAX_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_RUN_FILE_BYTES: u64 = 1 << 30;
 
 /// The most columns that a run file may have.
-pub const MAX_COLUMNS: usize = 4096;
+pub const MAX_RUN_FILE_COLUMNS: usize = 4096;
 
 /// The most values that a run file may have, rows times columns: a million rows of fifty columns.
-pub(crate) const MAX_VALUES: usize = 50_000_000;
+pub(crate) const MAX_RUN_FILE_VALUES: usize = 50_000_000;
 
 /// One column of a run.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! The tools of a run with the numbers of a machine file.
 
 use super::RunFile;
-use crate::{file::Machine, location::BadInput, sections::Tools, tool::TOOL_COLUMN};
+use crate::{file::Machine, location::InputFileError, sections::ToolGrowthList, tool::TOOL_COLUMN};
 
 impl RunFile {
     /// Returns the label that a value of the column `tool` stands for, if it is one.
@@ -14,9 +14,10 @@ impl RunFile {
     ///
     /// # Errors
     /// A label that the machine file does not list: at its first row.
-    pub fn with_tool_numbers(self, machine: &Machine) -> Result<Self, BadInput> {
+    pub fn with_tool_numbers(self, machine: &Machine) -> Result<Self, InputFileError> {
         let tools = machine.spindle.tools.as_ref();
-        let codes: Vec<(f64, u16)> = tools.into_iter().flat_map(Tools::label_codes).collect();
+        let codes: Vec<(f64, u16)> =
+            tools.into_iter().flat_map(ToolGrowthList::numbered_label_codes).collect();
         let is_listed = |label: &str| {
             tools.is_some_and(|table| {
                 table.tools.iter().any(|tool| tool.label.as_deref() == Some(label))

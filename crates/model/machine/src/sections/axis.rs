@@ -7,7 +7,7 @@ use crate::{
         section::{NewSection, Value},
         table::{KeyValue, Table, choice, table},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 choice! {
@@ -144,13 +144,13 @@ choice! {
 impl ThermalMode {
     /// Returns whether K₀(T) counts.
     #[must_use]
-    pub fn has_constant(self) -> bool {
+    pub fn has_constant_term(self) -> bool {
         self != Self::Position
     }
 
     /// Returns whether tanβ(T)·(P − P₀) counts, and so the position.
     #[must_use]
-    pub fn has_position(self) -> bool {
+    pub fn has_position_term(self) -> bool {
         self != Self::Constant
     }
 }
@@ -236,7 +236,7 @@ pub(crate) const AXIS_SECTIONS: &[Key] = &[
     section("z", AxisModel::KEYS, "the Z axis"),
 ];
 
-pub(crate) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], InputFileError> {
     let mut axes = <[AxisModel; 3]>::default();
     for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
         if let Some(section) = section.section(of.name())? {
@@ -247,7 +247,11 @@ pub(crate) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
     Ok(axes)
 }
 
-fn check_axis(section: &Section<'_>, axis: &AxisModel, of: LinearAxis) -> Result<(), BadInput> {
+fn check_axis(
+    section: &Section<'_>,
+    axis: &AxisModel,
+    of: LinearAxis,
+) -> Result<(), InputFileError> {
     if let (Some(dual), Some(section)) = (&axis.dual, section.section("dual")?) {
         check_second_drive(&section, dual, of)?;
     }
@@ -277,7 +281,7 @@ fn check_second_drive(
     section: &Section<'_>,
     dual: &SecondDrive,
     driven: LinearAxis,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     if dual.across == driven {
         let rule = format!(
             "must be another axis than \"{}\": the drives stand apart across the driven axis",
@@ -294,7 +298,7 @@ fn check_second_drive(
 
 /// The two ends of a travel.
 impl KeyValue for [f64; 2] {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let Some(ends) = section.numbers(key.name)? else { return Ok(None) };
         match ends[..] {
             [low, high] if low < high => Ok(Some([low, high])),
@@ -310,7 +314,10 @@ impl KeyValue for [f64; 2] {
     }
 }
 
-fn require_reference(section: &Section<'_>, thermal: ThermalLaw) -> Result<ThermalLaw, BadInput> {
+fn require_reference(
+    section: &Section<'_>,
+    thermal: ThermalLaw,
+) -> Result<ThermalLaw, InputFileError> {
     if thermal.table.is_none() {
         section.required("reference_c", section.number("reference_c")?)?;
     }
@@ -318,7 +325,7 @@ fn require_reference(section: &Section<'_>, thermal: ThermalLaw) -> Result<Therm
 }
 
 impl KeyValue for Vec<ThermalRow> {
-    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, InputFileError> {
         let Some(rows) = section.rows(key.name)? else { return Ok(None) };
         for (row, pair) in rows.windows(2).enumerate() {
             if let [[before, ..], [after, ..]] = pair
@@ -346,7 +353,7 @@ impl KeyValue for Vec<ThermalRow> {
 fn check_table_lengths(
     section: &Section<'_>,
     pitch: PitchErrorTable,
-) -> Result<PitchErrorTable, BadInput> {
+) -> Result<PitchErrorTable, InputFileError> {
     match &pitch.reverse_um {
         Some(reverse_um) if reverse_um.len() != pitch.forward_um.len() => {
             let rule = format!(
@@ -389,6 +396,6 @@ fn write_thermal(section: NewSection, thermal: &ThermalLaw) -> NewSection {
 
 /// Returns whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
 #[must_use]
-pub fn is_reverse(direction: f64) -> bool {
+pub fn is_negative_direction(direction: f64) -> bool {
     direction < 0.0
 }

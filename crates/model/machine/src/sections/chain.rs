@@ -13,7 +13,7 @@ use super::{LinearAxis, RotaryAxis};
 
 /// The axes between the workpiece and the tool.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Chain {
+pub struct AxisChain {
     /// The linear axes from the workpiece to the tool, each once.
     pub linear: [LinearAxis; 3],
     /// How many of them, the first, move the workpiece.
@@ -24,7 +24,7 @@ pub struct Chain {
     pub table: Vec<RotaryAxis>,
 }
 
-impl Chain {
+impl AxisChain {
     /// Returns the rotary axes in the order of the CNC's angles: those of the tool, then those of the workpiece.
     #[must_use]
     pub fn rotary_axes(&self) -> Vec<RotaryAxis> {
@@ -51,7 +51,7 @@ impl Chain {
     /// # Errors
     /// The rule that is broken; it goes on after the key.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let links = parse_links(text)?;
+        let links = parse_chain_links(text)?;
         let at = |letter: char| links.iter().position(|link| link.letter == letter);
         let (Some(0), Some(bed), Some(last)) = (at('w'), at('b'), at('t')) else {
             return Err("must begin with w (workpiece), pass b (bed) and end with t (tool)".into());
@@ -98,7 +98,7 @@ impl Chain {
     }
 }
 
-impl fmt::Display for Chain {
+impl fmt::Display for AxisChain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("w")?;
         for axis in self.table.iter().rev() {
@@ -139,7 +139,7 @@ impl ChainLink {
     }
 }
 
-fn parse_links(text: &str) -> Result<Vec<ChainLink>, String> {
+fn parse_chain_links(text: &str) -> Result<Vec<ChainLink>, String> {
     let mut links: Vec<ChainLink> = Vec::new();
     let mut letters = text.chars();
     while let Some(letter) = letters.next() {

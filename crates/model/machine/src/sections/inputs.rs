@@ -6,8 +6,9 @@ use trueup_core::calibration::MainsFrequency;
 
 use crate::{
     inputs::{
-        ADC_REFERENCE_VOLTS, ConditionInput, CountScale, Inputs, LinearInput, MAX_CHANNEL,
-        RATE_LIMITS_C_PER_MIN, SensorInput, TemperatureInput, TemperatureKind,
+        ADC_REFERENCE_VOLTS, ConditionInput, CountScale, Inputs, LinearInput,
+        MAX_TEMPERATURE_CHANNEL, RATE_LIMITS_C_PER_MIN, SensorInput, TemperatureInput,
+        TemperatureKind,
     },
     keys::{
         key::{
@@ -20,7 +21,7 @@ use crate::{
         table::{Table, choice, read_or_default, table, to_inline_table, write_key},
     },
     known_columns::is_known_column,
-    location::BadInput,
+    location::InputFileError,
     tool::TOOL_COLUMN,
 };
 
@@ -57,7 +58,7 @@ table! {
     /// The keys of a thermometer.
     #[derive(Default)]
     struct ThermometerKeys {
-        channel: u8 = key(Whole(0, MAX_CHANNEL as u32), "", "the number of its converter on the board; no two share one").required().with_example_value("0");
+        channel: u8 = key(Whole(0, MAX_TEMPERATURE_CHANNEL as u32), "", "the number of its converter on the board; no two share one").required().with_example_value("0");
         kind: ThermometerKind = key(Choice(ThermometerKind::NAMES), "", "a PT100 by IEC 60751, or a line").required().with_example_value("\"pt100\"");
         zero_v: Option<f64> = key(Number, "V", "of a line: the voltage at 0 °C, by the line's own slope, also where the transmitter does not reach it. With `c_per_v`, or `zero_counts` and `counts_per_c`").with_example_value("0.0");
         c_per_v: Option<f64> = key(Number, "K/V", "of a line: kelvin for one volt at the input; not 0").with_example_value("10.0");
@@ -93,7 +94,7 @@ table! {
 
 const CONDITION_KIND: &str = "condition";
 
-pub(crate) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<Inputs, InputFileError> {
     let mut inputs = Inputs::default();
     let mut column_of_channel = BTreeMap::new();
     for key in section.keys() {
@@ -133,7 +134,7 @@ pub(crate) fn is_condition(section: &Section<'_>) -> bool {
     section.text("kind").ok().flatten() == Some(CONDITION_KIND)
 }
 
-fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, BadInput> {
+fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, InputFileError> {
     if name == TOOL_COLUMN || is_known_column(name) {
         return Err(section.key_error(
             "kind",
@@ -144,16 +145,16 @@ fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, B
     Ok(ConditionInput { bit, default })
 }
 
-fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
+fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, InputFileError> {
     let sensor = SensorInput::read(section)?;
-    reject_above_reference(section, "divider", sensor.volts_full_scale, sensor.divider)?;
+    reject_above_adc_reference(section, "divider", sensor.volts_full_scale, sensor.divider)?;
     Ok(sensor)
 }
 
-fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
+fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, InputFileError> {
     let keys = ThermometerKeys::read(section)?;
     let kind = match keys.kind {
-        ThermometerKind::Linear => TemperatureKind::Linear(read_linear(section, &keys)?),
+        ThermometerKind::Linear => TemperatureKind::Linear(read_linear_input(section, &keys)?),
         ThermometerKind::Pt100 => {
             let of_line = VOLTAGE_KEYS.iter().chain(&COUNT_KEYS).chain(&SCALE_KEYS);
             if let Some(key) = section.first_present_key(of_line) {
@@ -178,7 +179,10 @@ const COUNT_KEYS: [&str; 3] = ["zero_counts", "counts_per_c", "counts_full_scale
 const SCALE_KEYS: [&str; 2] = ["full_scale_v", "divider"];
 
 /// Reads a line in one of its two forms: volts and °C, or counts with what a count is.
-fn read_linear(section: &Section<'_>, keys: &ThermometerKeys) -> Result<LinearInput, BadInput> {
+fn read_linear_input(
+    section: &Section<'_>,
+    keys: &ThermometerKeys,
+) -> Result<LinearInput, InputFileError> {
     let not_zero = |key, value| match section.required(key, value)? {
         0.0 => Err(section.key_error(key, "must not be 0")),
         value => Ok(value),
@@ -200,14 +204,14 @@ fn read_linear(section: &Section<'_>, keys: &ThermometerKeys) -> Result<LinearIn
     if volts.is_some() {
         let zero_counts = section.required("zero_v", keys.zero_v)?;
         let counts_per_c = 1.0 / not_zero("c_per_v", keys.c_per_v)?;
-        let (full_scale_v, divider) = read_scale(section, keys)?;
+        let (full_scale_v, divider) = read_full_scale_and_divider(section, keys)?;
         let scale = CountScale::Volt { full_scale_v, divider };
         return Ok(LinearInput { zero_counts, counts_per_c, scale });
     }
     let zero_counts = section.required("zero_counts", keys.zero_counts)?;
     let counts_per_c = not_zero("counts_per_c", keys.counts_per_c)?;
     let scale = if let Some(counts_full_scale) = keys.counts_full_scale {
-        let (full_scale_v, divider) = read_scale(section, keys)?;
+        let (full_scale_v, divider) = read_full_scale_and_divider(section, keys)?;
         CountScale::Count { counts_full_scale, full_scale_v, divider }
     } else {
         if let Some(key) = section.first_present_key(&SCALE_KEYS) {
@@ -220,21 +224,24 @@ fn read_linear(section: &Section<'_>, keys: &ThermometerKeys) -> Result<LinearIn
 }
 
 /// Returns the full scale of a linear input in volts, and its divider.
-fn read_scale(section: &Section<'_>, keys: &ThermometerKeys) -> Result<(f64, f64), BadInput> {
+fn read_full_scale_and_divider(
+    section: &Section<'_>,
+    keys: &ThermometerKeys,
+) -> Result<(f64, f64), InputFileError> {
     let full_scale_v = section.required("full_scale_v", keys.full_scale_v)?;
     let divider = section.required("divider", keys.divider)?;
     let key = section.first_present_key(&["divider"]).unwrap_or("full_scale_v");
-    reject_above_reference(section, key, full_scale_v, divider)?;
+    reject_above_adc_reference(section, key, full_scale_v, divider)?;
     Ok((full_scale_v, divider))
 }
 
 /// Refuses a divider that takes the full scale above the reference of the board's converter.
-fn reject_above_reference(
+fn reject_above_adc_reference(
     section: &Section<'_>,
     key: &str,
     full_scale_v: f64,
     divider: f64,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     let volts_at_adc = full_scale_v * divider;
     // 10 V · 0.33 is 4·10⁻¹⁶ above 3.3 V in f64 and is meant to be equal.
     if volts_at_adc > ADC_REFERENCE_VOLTS * (1.0 + 1e-9) {

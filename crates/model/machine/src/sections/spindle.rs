@@ -2,7 +2,7 @@
 //!
 //! A model that is not the source is kept: it is what the board falls back to.
 
-use super::{Tools, tools};
+use super::{ToolGrowthList, tools};
 use crate::{
     inputs::SensorInput,
     keys::{
@@ -12,7 +12,7 @@ use crate::{
         section::NewSection,
         table::{KeyValue, Table, choice, read_or_default, table, write_key},
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// How the spindle grows.
@@ -27,7 +27,7 @@ pub struct Spindle {
     /// The growth over a temperature.
     pub temperature: Option<TemperatureModel>,
     /// How each tool grows with speed.
-    pub tools: Option<Tools>,
+    pub tools: Option<ToolGrowthList>,
 }
 
 pub(crate) const SPINDLE_KEYS: &[Key] =
@@ -152,12 +152,15 @@ table! {
 }
 
 /// Returns the section; `input` is what `[inputs]` says of the displacement sensor.
-pub(crate) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
+pub(crate) fn read(
+    section: &Section<'_>,
+    input: Option<SensorInput>,
+) -> Result<Spindle, InputFileError> {
     let spindle = Spindle {
         source: ElongationSource::read_value(section, &SOURCE_KEY)?,
         sensor: section
             .section(SENSOR_KEY.name)?
-            .map(|model| read_sensor(&model, input))
+            .map(|model| read_sensor_model(&model, input))
             .transpose()?,
         warmup: read_or_default(section, &WARMUP_KEY)?,
         temperature: read_or_default(section, &TEMPERATURE_KEY)?,
@@ -175,7 +178,10 @@ pub(crate) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
     Ok(spindle)
 }
 
-fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<SensorModel, BadInput> {
+fn read_sensor_model(
+    section: &Section<'_>,
+    input: Option<SensorInput>,
+) -> Result<SensorModel, InputFileError> {
     let keys = SensorKeys::read(section)?;
     let counts_per_v = input.map(|input| input.counts_full_scale / input.volts_full_scale);
     let either = |(counts, in_counts): (&str, Option<f64>),
@@ -205,7 +211,7 @@ fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<Sens
     Ok(SensorModel { k0_um: keys.k0_um, zero_counts, um_per_count, temperature: keys.temperature })
 }
 
-fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, BadInput> {
+fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, InputFileError> {
     if warmup.warm_s <= warmup.lag_s {
         let rule = format!(
             "must be above lag_s = {}, not {}: the spindle warms up in between",

@@ -8,11 +8,11 @@ use crate::{
             ValueType::{Number, Numbers, Whole},
             key, section,
         },
-        range::SPLINE_ORDER,
+        range::SPLINE_ORDER_RANGE,
         reader::{MAX_ARRAY_LENGTH, Section},
         section::{NewSection, Value},
     },
-    location::BadInput,
+    location::InputFileError,
     spline::BSpline,
 };
 
@@ -75,7 +75,7 @@ const SPLINE_KEYS: SplineKeys = [
     key("order", Whole(2, 4), "", "degree plus one; 4 is cubic")
         .required()
         .with_example_value("4")
-        .with_range(SPLINE_ORDER),
+        .with_range(SPLINE_ORDER_RANGE),
     KNOTS_KEY.required(),
     key("control_um", Numbers, "µm", "the control points")
         .required()
@@ -110,7 +110,9 @@ pub(crate) const SQUARENESS_KEYS: &[Key] = &[
     squareness_key("y_of_z_um_per_m", "of Y for each metre of Z"),
 ];
 
-pub(crate) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
+pub(crate) fn read_straightness(
+    section: &Section<'_>,
+) -> Result<Vec<Straightness>, InputFileError> {
     let mut curves = Vec::new();
     for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(STRAIGHTNESS_KEYS) {
         if let Some(section) = section.section(key.name)? {
@@ -125,7 +127,10 @@ pub(crate) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
 }
 
 /// Returns a spline among the keys of `section`, which may have others.
-pub(crate) fn read_spline(section: &Section<'_>, keys: &SplineKeys) -> Result<BSpline, BadInput> {
+pub(crate) fn read_spline(
+    section: &Section<'_>,
+    keys: &SplineKeys,
+) -> Result<BSpline, InputFileError> {
     let [order, knots, control] = keys.map(|key| key.name);
     let order = section.required(order, section.integer(order, 0, u32::MAX)?)?;
     let knots_mm = section.required(knots, section.numbers(knots)?)?;
@@ -140,7 +145,7 @@ pub(crate) fn read_spline(section: &Section<'_>, keys: &SplineKeys) -> Result<BS
     Ok(spline)
 }
 
-pub(crate) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
+pub(crate) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, InputFileError> {
     let mut angles = Vec::new();
     for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(SQUARENESS_KEYS) {
         if let Some(um_per_m) = section.number(key.name)? {

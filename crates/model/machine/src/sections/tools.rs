@@ -6,12 +6,12 @@
 use crate::{
     keys::{
         key::{Key, ValueType, key, section},
-        range::SPEED_GROWTH,
+        range::SPEED_GROWTH_RANGE,
         reader::Section,
         section::NewSection,
         table::{Table, build_inline_table, entries, table, to_inline_table},
     },
-    location::{BadInput, truncate_text},
+    location::{InputFileError, truncate_text},
     tool::label_code,
 };
 
@@ -38,7 +38,7 @@ const GROWTH_KEY: Key =
     key("um_per_krpm2", ValueType::Number, "µm", "growth with speed, for (1000 r/min)²")
         .required()
         .with_example_value("0.021")
-        .with_range(SPEED_GROWTH);
+        .with_range(SPEED_GROWTH_RANGE);
 
 pub(crate) const TOOL_LIST_KEYS: &[Key] = &[
     section(
@@ -56,16 +56,16 @@ pub(crate) const TOOL_LIST_KEYS: &[Key] = &[
 
 /// The tools of a spindle.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tools {
+pub struct ToolGrowthList {
     /// The growth of a tool that is not in the list, in µm for (1000 r/min)².
     pub default_um_per_krpm2: f64,
     /// In the order of their numbers, those without one last; at most 32.
-    pub tools: Vec<Tool>,
+    pub tools: Vec<ToolGrowth>,
 }
 
 /// One of them; it has a number, a label, or both.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tool {
+pub struct ToolGrowth {
     /// The number that the CNC sends.
     pub number: Option<u16>,
     /// Its label in the column `tool` of a run.
@@ -74,7 +74,7 @@ pub struct Tool {
     pub um_per_krpm2: f64,
 }
 
-impl Tool {
+impl ToolGrowth {
     /// Returns its key in the file.
     #[must_use]
     pub fn key(&self) -> String {
@@ -83,10 +83,10 @@ impl Tool {
     }
 }
 
-impl Tools {
+impl ToolGrowthList {
     /// Returns what each label that has a number is in a run, with that number.
-    pub(crate) fn label_codes(&self) -> impl Iterator<Item = (f64, u16)> {
-        let code = |tool: &Tool| Some((label_code(tool.label.as_deref()?), tool.number?));
+    pub(crate) fn numbered_label_codes(&self) -> impl Iterator<Item = (f64, u16)> {
+        let code = |tool: &ToolGrowth| Some((label_code(tool.label.as_deref()?), tool.number?));
         self.tools.iter().filter_map(code)
     }
 
@@ -97,9 +97,9 @@ impl Tools {
     }
 }
 
-pub(crate) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<ToolGrowthList, InputFileError> {
     let default = section.required(DEFAULT_TOOL_KEY, section.section(DEFAULT_TOOL_KEY)?)?;
-    let mut tools: Vec<Tool> = Vec::new();
+    let mut tools: Vec<ToolGrowth> = Vec::new();
     for key in section.keys().into_iter().filter(|key| *key != DEFAULT_TOOL_KEY) {
         let Some(of) = section.section(key)? else { continue };
         let ToolKeys { um_per_krpm2, number: stated, label } = ToolKeys::read(&of)?;
@@ -129,14 +129,14 @@ pub(crate) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
         if label.as_deref().is_some_and(|label| label.is_empty() || label.parse::<f64>().is_ok()) {
             return Err(of.key_error("label", "must be a word, not empty and no number"));
         }
-        let is_same = |tool: &&Tool| {
+        let is_same = |tool: &&ToolGrowth| {
             number.is_some() && tool.number == number || label.is_some() && tool.label == label
         };
         if let Some(other) = tools.iter().find(is_same) {
             let rule = format!("is the tool of {} as well", truncate_text(&other.key()));
             return Err(section.key_error(key, rule));
         }
-        tools.push(Tool { number, label, um_per_krpm2 });
+        tools.push(ToolGrowth { number, label, um_per_krpm2 });
     }
     let most = trueup_core::dimensions::MAX_TOOLS;
     if tools.len() > most {
@@ -148,11 +148,11 @@ pub(crate) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
     }
     tools.sort_by_key(|tool| tool.number.map_or(u32::MAX, u32::from));
     let DefaultToolKeys { um_per_krpm2 } = DefaultToolKeys::read(&default)?;
-    Ok(Tools { default_um_per_krpm2: um_per_krpm2, tools })
+    Ok(ToolGrowthList { default_um_per_krpm2: um_per_krpm2, tools })
 }
 
 /// Returns `section` with the tools and the default.
-pub(crate) fn write(section: NewSection, tools: &Tools) -> NewSection {
+pub(crate) fn write(section: NewSection, tools: &ToolGrowthList) -> NewSection {
     let section = tools.tools.iter().fold(section, |section, tool| {
         // The key is the number, or else the label.
         let label = tool.label.clone().filter(|_| tool.number.is_some());

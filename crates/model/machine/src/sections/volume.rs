@@ -5,7 +5,7 @@
 //! is written in the letters of ISO 10791-6 ([`Chain`]).
 
 use super::{
-    Chain,
+    AxisChain,
     LinearAxis::{self, X, Y, Z},
     RotaryAxis::{self, A, B, C},
     straightness::{KNOTS_KEY, SplineKeys, read_spline, write_spline},
@@ -17,18 +17,18 @@ use crate::{
             ValueType::{Number, Numbers, Vector, Whole},
             key, section,
         },
-        range::SPLINE_ORDER,
+        range::SPLINE_ORDER_RANGE,
         reader::Section,
         section::NewSection,
         table::{Table, read_or_default, table, write_key},
     },
-    location::BadInput,
+    location::InputFileError,
     spline::BSpline,
 };
 
 /// An angle over the position of an axis, in µrad.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Angle {
+pub enum AngleProfile {
     /// c·P/1000, c in µrad/m.
     Line(f64),
     /// A spline, its control points in µrad: µm at a lever of a metre.
@@ -39,7 +39,7 @@ pub enum Angle {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumetricModel {
     /// Which axis carries what.
-    pub chain: Option<Chain>,
+    pub chain: Option<AxisChain>,
     /// The angular errors of the linear axes; no pair of axes twice.
     pub angular: Vec<AngularErrorMotion>,
     /// Where pitch and straightness of X, Y and Z are stated, in mm of machine coordinates: the angles do
@@ -76,7 +76,7 @@ pub struct AngularErrorMotion {
     /// The axis that moves.
     pub along: LinearAxis,
     /// The angle over its position, in µrad.
-    pub angle: Angle,
+    pub angle: AngleProfile,
 }
 
 impl AngularErrorMotion {
@@ -163,7 +163,7 @@ const ANGLE_GRADIENT_KEY: Key = key(
 const SPLINE_KEYS: SplineKeys = [
     key("order", Whole(2, 4), "", "of a B-spline: degree plus one; 4 is cubic")
         .with_example_value("4")
-        .with_range(SPLINE_ORDER),
+        .with_range(SPLINE_ORDER_RANGE),
     KNOTS_KEY,
     key("control_urad", Numbers, "µrad", "the control points")
         .with_example_value("[0.0, 3.0, -2.0, 4.0, 0.0]"),
@@ -257,9 +257,9 @@ pub(crate) const ROTARY_KEYS: &[Key] = &[
     section(C.name(), &AXIS_LINE_KEYS[2], "the line about which C turns"),
 ];
 
-pub(crate) fn read_angular(
+pub(crate) fn read_angular_errors(
     section: &Section<'_>,
-) -> Result<(Vec<AngularErrorMotion>, [[f64; 3]; 3]), BadInput> {
+) -> Result<(Vec<AngularErrorMotion>, [[f64; 3]; 3]), InputFileError> {
     let mut point_mm = [[0.0; 3]; 3];
     for (point, key) in point_mm.iter_mut().zip(&POINT_KEYS) {
         *point = read_or_default(section, key)?;
@@ -275,19 +275,19 @@ pub(crate) fn read_angular(
     Ok((angular, point_mm))
 }
 
-fn read_angle(section: &Section<'_>) -> Result<Angle, BadInput> {
+fn read_angle(section: &Section<'_>) -> Result<AngleProfile, InputFileError> {
     let of_curve = section.first_present_key(&SPLINE_KEYS.map(|key| key.name)).map(str::to_string);
     match (section.number(ANGLE_GRADIENT_KEY.name)?, of_curve) {
         (None, None) => {
             let rule = "is missing: an angle is urad_per_m, or order, knots_mm and control_urad";
             Err(section.key_error(ANGLE_GRADIENT_KEY.name, rule))
         }
-        (None, Some(_)) => Ok(Angle::Curve(read_spline(section, &SPLINE_KEYS)?)),
+        (None, Some(_)) => Ok(AngleProfile::Curve(read_spline(section, &SPLINE_KEYS)?)),
         (Some(_), Some(key)) => {
             let rule = "must not stand next to urad_per_m: an angle is one or the other";
             Err(section.key_error(&key, rule))
         }
-        (Some(urad_per_m), None) => Ok(Angle::Line(urad_per_m)),
+        (Some(urad_per_m), None) => Ok(AngleProfile::Line(urad_per_m)),
     }
 }
 
@@ -305,7 +305,9 @@ fn axis_line_keys(
     (point, shifts, tilts.each_ref())
 }
 
-pub(crate) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErrors>, BadInput> {
+pub(crate) fn read_rotary_locations(
+    section: &Section<'_>,
+) -> Result<Vec<RotaryLocationErrors>, InputFileError> {
     let mut all = Vec::new();
     for axis in RotaryAxis::ALL {
         let Some(section) = section.section(axis.name())? else { continue };
@@ -328,7 +330,7 @@ pub(crate) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErr
 }
 
 /// Refuses angular and location errors that the chain does not place.
-pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), BadInput> {
+pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), InputFileError> {
     let first = ["angular", "rotary"].into_iter().find(|name| root.keys().contains(name));
     let (Some(first), chain) = (first, &volume.chain) else { return Ok(()) };
     let Some(chain) = chain else {
@@ -359,8 +361,8 @@ pub(crate) fn write(volume: &VolumetricModel) -> Vec<NewSection> {
     for angular in &volume.angular {
         let section = NewSection::new(format!("angular.{}", angular.name()));
         sections.push(match &angular.angle {
-            Angle::Line(urad_per_m) => write_key(section, &ANGLE_GRADIENT_KEY, urad_per_m),
-            Angle::Curve(spline) => write_spline(section, spline, &SPLINE_KEYS),
+            AngleProfile::Line(urad_per_m) => write_key(section, &ANGLE_GRADIENT_KEY, urad_per_m),
+            AngleProfile::Curve(spline) => write_spline(section, spline, &SPLINE_KEYS),
         });
     }
     for it in &volume.rotary {

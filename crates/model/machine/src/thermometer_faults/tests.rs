@@ -22,7 +22,7 @@ fn thermometer(rows: usize, noise_c: f64, digit_c: f64) -> Vec<f64> {
 fn found(values: &[f64]) -> Vec<ThermometerFault> {
     let mut follows = vec![true; values.len()];
     follows[0] = false;
-    find_faults(values, &follows, &follows)
+    find_thermometer_faults(values, &follows, &follows)
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn a_step_over_a_pause_is_none() {
     values[1_000..].iter_mut().for_each(|value| *value -= 15.0);
     let mut follows = vec![true; 2_000];
     (follows[0], follows[1_000]) = (false, false);
-    assert_eq!(find_faults(&values, &follows, &follows), []);
+    assert_eq!(find_thermometer_faults(&values, &follows, &follows), []);
     assert_eq!(found(&values).len(), 1);
 }
 
@@ -147,5 +147,5 @@ fn what_a_converter_sends_for_a_fault_is_absent_in_a_short_record_too() {
     }
     let values = [20.0, 20.1, 85.0, 85.0, 20.3, 20.2];
     let slow = [false; 6];
-    assert_eq!(find_faults(&values, &slow, &slow), []);
+    assert_eq!(find_thermometer_faults(&values, &slow, &slow), []);
 }

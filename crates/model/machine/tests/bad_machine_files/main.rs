@@ -5,12 +5,12 @@ mod volume;
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, MachineFile};
+use trueup_machine::{InputFileError, MachineFile};
 
 /// Lines 1 to 3 of most files below.
 const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
 
-fn error_of(text: &str) -> BadInput {
+fn error_of(text: &str) -> InputFileError {
     match MachineFile::parse(text, Path::new("bad.toml")) {
         Ok(_) => panic!("{text:?} was accepted"),
         Err(error) => error,
@@ -21,7 +21,7 @@ fn error_of(text: &str) -> BadInput {
 /// errors is that; a text that is cut short has others.
 fn assert_refused(before: &str, cases: &[(&str, &str, &str)]) {
     for (text, place, phrase) in cases {
-        let errors = error_of(&format!("{before}{text}")).into_single_faults();
+        let errors = error_of(&format!("{before}{text}")).into_single_errors();
         let lines: Vec<String> = errors.map(|error| error.to_string()).collect();
         let place = format!("bad.toml:{place}: ");
         let is_it = |line: &&String| line.starts_with(&place) && line.contains(phrase);
@@ -414,7 +414,7 @@ fn each_term_reports_all_its_errors() {
                  [[term]]\ncause = \"backlsh\"\nquantity = \"dq\"\ncolour = 1\n\
                  [[term]]\ncause = \"pitch-error\"\nquantity = \"dx\"\nstart_mm = 0\nstep_mm = 0\n";
     let error = error_of(&format!("{MACHINE}{terms}"));
-    let messages: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
+    let messages: Vec<String> = error.into_single_errors().map(|fault| fault.to_string()).collect();
     let expected = [
         "7:8: term[0].at_s must be a number",
         "8:11: term[0].size_um must be a number",

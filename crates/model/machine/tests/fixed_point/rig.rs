@@ -1,8 +1,11 @@
 //! The whole bridge: from inputs to the offset that leaves it.
 
 use trueup_core::{
-    bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Quality, Rotary, TravelDirection},
+    bridge::{Bridge, State, TickInput},
+    cnc::{
+        AxisPosition, CncMessage, Control, LinearAxis, OffsetQuality, RotaryAxisAngles,
+        TravelDirection,
+    },
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     thermometer::RawReading,
     units::{AdcCode, MicroDegrees, Position, Rpm, TimestampMs},
@@ -63,14 +66,14 @@ impl<'c> Rig<'c> {
             }
             let angles =
                 self.angles_deg.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
-            bridge.receive(state, CncMessage::Rotary(Rotary { angles }));
+            bridge.receive(state, CncMessage::Rotary(RotaryAxisAngles { angles }));
             let code = self.counts / 8;
             let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
                 0 => AdcCode(code - 1),
                 2 => AdcCode(code + 1),
                 _ => AdcCode(code),
             });
-            let input = Input {
+            let input = TickInput {
                 codes: Some(&codes),
                 speed: Some(Rpm(self.rpm)),
                 temperatures: Some(&self.raw),
@@ -78,7 +81,7 @@ impl<'c> Rig<'c> {
             last = Some(bridge.tick(state, TimestampMs(self.ms), input));
         }
         let output = last.expect("at least a millisecond");
-        assert_eq!(output.quality, Quality::Live, "{:?}", output.flags);
+        assert_eq!(output.quality, OffsetQuality::Live, "{:?}", output.flags);
         output.offset.expect("live").map(|nm| nm.0)
     }
 

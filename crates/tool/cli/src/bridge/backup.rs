@@ -170,7 +170,7 @@ pub fn restore_board(
 /// Gives a bridge what `save` has kept of another one.
 pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::enable_best_effort();
+    trueup_output::enable_best_effort_output();
     let saved = read_backup(&args.file)?;
     let is_bound =
         decode(&saved.calibration).is_ok_and(|calibration| calibration.names.board != [0; 3]);
@@ -180,7 +180,7 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
             args.file.display()
         ));
     }
-    args.how.check_can_confirm(as_json)?;
+    args.how.check_confirmation_possible(as_json)?;
     let restored = args.port.with_session(|session| restore_board(session, &saved, args.how))?;
     let is_met = restored.is_successful(args.how);
     let RestoreOutcome { loaded, reference } = restored;

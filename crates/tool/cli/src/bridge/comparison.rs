@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_client::{build::Build, load, session::Session};
+use trueup_client::{build::BuildVersion, load, session::Session};
 use trueup_machine::decompile::changes::describe_changes;
 use trueup_store::calibration::decode;
 
@@ -11,14 +11,17 @@ use crate::report;
 /// Returns what differs between the calibration that the bridge runs on and `new`, a sentence each; `None`: it has
 /// no valid one, or gives none that this tool understands.
 pub fn calibration_differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<String>>> {
-    Ok(compare_with_running(session, new)?.1)
+    Ok(compare_with_running_calibration(session, new)?.1)
 }
 
 /// The calibration that a bridge runs on, and what differs from it.
-pub type CalibrationChanges = (Option<Vec<u8>>, Option<Vec<String>>);
+pub type RunningCalibrationComparison = (Option<Vec<u8>>, Option<Vec<String>>);
 
 /// Returns the same, and the calibration that the bridge runs on.
-pub fn compare_with_running(session: &mut Session, new: &[u8]) -> Result<CalibrationChanges> {
+pub fn compare_with_running_calibration(
+    session: &mut Session,
+    new: &[u8],
+) -> Result<RunningCalibrationComparison> {
     let bar = byte_progress_bar("reading the bridge's calibration", 0);
     let old = load::read_running_calibration(session, |got, of| {
         if let Some(of) = of {
@@ -36,13 +39,13 @@ pub fn compare_with_running(session: &mut Session, new: &[u8]) -> Result<Calibra
 }
 
 /// This tool's.
-pub fn tool_build() -> Build {
-    Build::new(env!("CARGO_PKG_VERSION"), env!("TRUEUP_COMMIT"))
+pub fn tool_build() -> BuildVersion {
+    BuildVersion::new(env!("CARGO_PKG_VERSION"), env!("TRUEUP_COMMIT"))
 }
 
 /// Says where the bridge's firmware is of another version or commit than this tool. Gives the firmware's.
-pub fn compare_builds(session: &mut Session) -> Result<Build> {
-    let bridge = Build::read(session)?;
+pub fn check_firmware_build(session: &mut Session) -> Result<BuildVersion> {
+    let bridge = BuildVersion::read(session)?;
     if let Some(difference) = tool_build().difference(&bridge) {
         report::warn(difference);
     }

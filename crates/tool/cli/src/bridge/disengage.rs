@@ -22,7 +22,7 @@ pub struct DisengageArgs {
 
 /// Takes them back, and waits until they are 0.
 pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
-    trueup_output::enable_best_effort();
+    trueup_output::enable_best_effort_output();
     let mut is_reported = false;
     let mut report_start = |now_nm| {
         if !is_reported {

@@ -10,7 +10,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
-    build::Build,
+    build::BuildVersion,
     firmware_slots::FirmwareSlots,
     object,
     port::Port,
@@ -91,7 +91,7 @@ impl BridgeInfo {
 struct BridgeObjects {
     device: String,
     hardware: String,
-    software: Build,
+    software: BuildVersion,
     /// `None`: the board has no firmware slots.
     slots: Option<FirmwareSlots>,
     /// 0: it has no valid one.
@@ -124,7 +124,7 @@ impl BridgeObjects {
         Ok(Self {
             device: object::read_text(session, object::DEVICE_NAME)?,
             hardware: object::read_text(session, object::HARDWARE_VERSION)?,
-            software: comparison::compare_builds(session)?,
+            software: comparison::check_firmware_build(session)?,
             slots: FirmwareSlots::read(session)?,
             calibration: object::read_number(session, object::RUNNING_CRC)?,
             new_calibration: object::read_number(session, object::PENDING_CRC)?,
@@ -173,14 +173,18 @@ impl BridgeObjects {
 }
 
 /// Prints the firmware slots of a board, the one that runs first.
-fn print_slots(slots: &FirmwareSlots) -> Result<()> {
+fn print_firmware_slots(slots: &FirmwareSlots) -> Result<()> {
     let (running, spare) = (slots.running, slots.running.other());
     output::print(format_args!(
         "firmware     slot {} runs: {}",
         running.name(),
-        slots.content(running)
+        slots.slot_content(running)
     ))?;
-    output::print(format_args!("firmware     slot {}: {}", spare.name(), slots.content(spare)))?;
+    output::print(format_args!(
+        "firmware     slot {}: {}",
+        spare.name(),
+        slots.slot_content(spare)
+    ))?;
     let by = if slots.reported.is_some() {
         ""
     } else {
@@ -224,7 +228,7 @@ fn crash_location_text(session: &mut Session) -> Result<String> {
     let [pc, lr, status, address, line] = numbers;
     let mut words = String::new();
     if line != 0 {
-        words += &format!(" at {}:{line}", object::read_text(session, object::CRASH_FILE)?);
+        words += &format!(" at {}:{line}", object::read_text(session, object::CRASH_FILE_NAME)?);
     }
     if pc != 0 || status != 0 {
         words += &format!(" at pc {pc:#010x}, lr {lr:#010x}, CFSR {status:#010x}");
@@ -241,7 +245,7 @@ fn crash_location_text(session: &mut Session) -> Result<String> {
 
 /// Returns the reasons for which the board has started since power-on, and how often.
 fn read_reset_counts(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
-    let (index, first) = object::RESET_COUNT;
+    let (index, first) = object::FIRST_RESET_COUNT;
     let mut all = Vec::new();
     for (number, subindex) in (0..).zip(first..).take(ResetReason::COUNT) {
         let count = object::read_number(session, (index, subindex))?;
@@ -344,7 +348,7 @@ impl BridgeInfo {
     fn to_json(&self, objects: Option<&BridgeObjects>) -> Value {
         let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
         let mut all = output_to_json(self.output.as_ref());
-        all["waiting_for"] = json!(self.waiting_reason(objects));
+        all["waiting_for"] = json!(self.pending_action(objects));
         all["version"] = json!(self.version);
         all["serial"] = json!(self.serial);
         all["heartbeat"] = json!(self.heartbeat.map(nmt_state_name));
@@ -379,7 +383,7 @@ impl BridgeInfo {
     }
 
     /// For whom the bridge waits that gives no offset.
-    fn waiting_reason(&self, objects: Option<&BridgeObjects>) -> Option<&'static str> {
+    fn pending_action(&self, objects: Option<&BridgeObjects>) -> Option<&'static str> {
         let objects = objects?;
         pending_action(
             self.output.as_ref()?.quality,
@@ -402,12 +406,12 @@ impl BridgeInfo {
         };
         output::print(format_args!("heartbeat    {heartbeat}"))?;
         let offsets = self.output.as_ref().map_or_else(|| missing.clone(), format_output);
-        let waits = self.waiting_reason(objects).map(|what| format!("waiting for {what}: "));
+        let waits = self.pending_action(objects).map(|what| format!("waiting for {what}: "));
         output::print(format_args!("offsets      {}{offsets}", waits.unwrap_or_default()))?;
         let Some(it) = objects else { return Ok(()) };
         let BridgeObjects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
-        it.slots.as_ref().map_or(Ok(()), print_slots)?;
+        it.slots.as_ref().map_or(Ok(()), print_firmware_slots)?;
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
         output::print(format_args!("reference    {}", it.reference.to_text()))?;

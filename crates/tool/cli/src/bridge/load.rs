@@ -18,9 +18,9 @@ use trueup_client::{
     session::Session,
     state_text::quality_name,
 };
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 use trueup_machine::{
-    BadInput,
+    InputFileError,
     check::{no_correction_warning, range_findings},
     compile::decompile,
     envelope,
@@ -57,7 +57,7 @@ pub struct LoadMode {
 
 impl LoadMode {
     /// Checks that the user can confirm, or need not.
-    pub fn check_can_confirm(self, as_json: bool) -> Result<(), UserError> {
+    pub fn check_confirmation_possible(self, as_json: bool) -> Result<(), UserError> {
         if self.yes || !as_json && stdin().is_terminal() {
             return Ok(());
         }
@@ -83,20 +83,20 @@ pub struct LoadOutcome {
 impl LoadOutcome {
     /// The board runs on it, or is not to yet, and works for its machine.
     pub fn is_successful(&self, how: LoadMode) -> bool {
-        how.keep_running || self.running == self.crc && !self.questions.is_foreign_calibration()
+        how.keep_running || self.running == self.crc && !self.questions.has_foreign_calibration()
     }
 }
 
 /// Loads the calibration of a file.
 pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::enable_best_effort();
-    let named = args.calibration.as_deref().map(read_calibration).transpose()?;
-    args.how.check_can_confirm(as_json)?;
+    trueup_output::enable_best_effort_output();
+    let named = args.calibration.as_deref().map(read_calibration_file).transpose()?;
+    args.how.check_confirmation_possible(as_json)?;
     let (loaded, blob) = args.port.with_session(|session| {
         let blob = match named {
             Some(blob) => blob,
-            None => read_calibration(&previous_calibration_file(session)?)?,
+            None => read_calibration_file(&previous_calibration_file(session)?)?,
         };
         Ok((load_calibration(session, &blob, args.how)?, blob))
     })?;
@@ -141,13 +141,13 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
 }
 
 /// Reads the calibration in a file, without what follows it.
-fn read_calibration(path: &Path) -> Result<Vec<u8>> {
+fn read_calibration_file(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     let bytes = files::read_bytes(path, MAX_CALIBRATION_FILE_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = decompile(&calibration);
-    files::check_findings(&path.display().to_string(), &range_findings(&machine))?;
-    envelope::check_envelope(&machine).map_err(|BadInput { rule, .. }| bad(rule))?;
+    files::check_implausible_values(&path.display().to_string(), &range_findings(&machine))?;
+    envelope::check_envelope(&machine).map_err(|InputFileError { rule, .. }| bad(rule))?;
     if no_correction_warning(&machine).is_some() {
         report::warn(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",
@@ -190,14 +190,14 @@ fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
 pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<LoadOutcome> {
     let crc = calibration_crc(blob);
     check_disengaged(session)?;
-    comparison::compare_builds(session)?;
+    comparison::check_firmware_build(session)?;
     let waiting = object::read_number(session, PENDING_CRC)?;
     if waiting != 0 && waiting != crc && waiting != object::read_number(session, RUNNING_CRC)? {
         report::warn(format_args!(
             "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
         ));
     }
-    let (replaced, differences) = comparison::compare_with_running(session, blob)?;
+    let (replaced, differences) = comparison::compare_with_running_calibration(session, blob)?;
     let before = BridgeReference::read(session)?;
     match &differences {
         None => trueup_output::write_diagnostic("the bridge has no calibration to compare with"),
@@ -254,9 +254,9 @@ pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Re
 /// Checks that no offset is being followed.
 pub fn check_disengaged(session: &mut Session) -> Result<()> {
     let quality = object::read_number(session, QUALITY)?;
-    let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
+    let quality = u8::try_from(quality).ok().and_then(OffsetQuality::from_wire);
     let quality = quality.context("the bridge sends an unknown quality")?;
-    if !matches!(quality, Quality::Off | Quality::Fault) {
+    if !matches!(quality, OffsetQuality::Off | OffsetQuality::Fault) {
         bail!(
             "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
              disengage first",

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Seconds until a picture is drawn, without --count.
-const SNAPSHOT_DELAY_S: u64 = 5;
+const DEFAULT_SNAPSHOT_DELAY_S: u64 = 5;
 
 #[derive(Args)]
 pub struct MonitorArgs {
@@ -70,7 +70,7 @@ const INDICATOR_UNITS: [(IndicatorUnit, &str); 3] = [
 
 /// Shows the bridge, or prints a line a second.
 pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
-    let is_screen = trueup_output::is_output_terminal() && stdin().is_terminal();
+    let is_screen = trueup_output::is_stdout_terminal() && stdin().is_terminal();
     let is_picture = args.picture.is_some();
     if !is_picture && (as_json || args.plain || args.count.is_some() || !is_screen) {
         let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
@@ -89,10 +89,9 @@ pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
             baud: args.indicator_baud,
             unit,
         }),
-        picture: args
-            .picture
-            .clone()
-            .map(|path| (path, Duration::from_secs(args.count.unwrap_or(SNAPSHOT_DELAY_S)))),
+        picture: args.picture.clone().map(|path| {
+            (path, Duration::from_secs(args.count.unwrap_or(DEFAULT_SNAPSHOT_DELAY_S)))
+        }),
     })?;
     Ok(if is_sound { Outcome::Done } else { Outcome::NotMet })
 }

@@ -25,7 +25,7 @@ impl OpenQuestions {
     }
 
     /// Returns whether the calibration is of another machine or board than this one.
-    pub fn is_foreign_calibration(&self) -> bool {
+    pub fn has_foreign_calibration(&self) -> bool {
         self.0.contains(StateBits::FOREIGN_MACHINE)
     }
 

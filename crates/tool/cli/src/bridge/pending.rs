@@ -8,7 +8,7 @@ use trueup_client::{
     object::{self, PENDING_CALIBRATION, PENDING_CRC, QUALITY, RUNNING_CRC},
     session::Session,
 };
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 
 use super::{PortArgs, comparison, operator_questions::OpenQuestions};
 use crate::{Outcome, output};
@@ -27,10 +27,14 @@ pub struct PendingArgs {
 
 /// Shows what waits; with `--use` or `--cancel` nothing does any more.
 pub fn run(args: &PendingArgs, as_json: bool) -> Result<Outcome> {
-    args.port.with_session(|session| resolve_pending(args, session, as_json))
+    args.port.with_session(|session| resolve_pending_calibration(args, session, as_json))
 }
 
-fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> Result<Outcome> {
+fn resolve_pending_calibration(
+    args: &PendingArgs,
+    session: &mut Session,
+    as_json: bool,
+) -> Result<Outcome> {
     let pending = object::read_number(session, PENDING_CRC)?;
     let mut running = object::read_number(session, RUNNING_CRC)?;
     let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
@@ -39,17 +43,17 @@ fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> 
     let done = if pending == 0 {
         "nothing"
     } else if args.cancel {
-        load::drop_pending(session)?;
+        load::drop_pending_calibration(session)?;
         "cancelled"
     } else if args.takes {
         let quality = u8::try_from(object::read_number(session, QUALITY)?).ok();
-        let quality = quality.and_then(Quality::from_wire);
-        if !matches!(quality, Some(Quality::Off | Quality::Fault)) {
+        let quality = quality.and_then(OffsetQuality::from_wire);
+        if !matches!(quality, Some(OffsetQuality::Off | OffsetQuality::Fault)) {
             bail!("nothing changes while offsets are being followed: let the CNC disengage first");
         }
         running = load::restart_with_permission(session, pending)?;
         let after = OpenQuestions::read(session)?;
-        if running != pending || after.is_foreign_calibration() {
+        if running != pending || after.has_foreign_calibration() {
             outcome = Outcome::NotMet;
         }
         questions = Some(after);

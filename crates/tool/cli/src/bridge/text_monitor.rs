@@ -20,7 +20,7 @@ use trueup_client::{
 use trueup_core::cnc::Output;
 use trueup_link::{
     frames::{self, NmtState},
-    receiver::{Counters, OffsetReceiver},
+    receiver::{FrameCounters, OffsetReceiver},
     slcan::Event,
 };
 
@@ -29,9 +29,9 @@ use trueup_machine::{MachineFile, compile};
 use crate::{Outcome, UserError, output};
 
 /// From one line to the next.
-const LINE_PERIOD: Duration = Duration::from_secs(1);
+const OUTPUT_LINE_PERIOD: Duration = Duration::from_secs(1);
 /// Between two tries to open a line that was lost.
-const REOPEN_INTERVAL: Duration = Duration::from_millis(250);
+const RECONNECT_DELAY: Duration = Duration::from_millis(250);
 /// Without any offsets for this many lines there is nothing to monitor.
 const MAX_SILENT_LINES: u32 = 3;
 
@@ -48,7 +48,7 @@ pub fn run(
     let machine = record.and_then(|(_, machine)| machine);
     let expected = match machine {
         Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
-        machine => machine.and_then(compiled_crc),
+        machine => machine.and_then(compiled_calibration_crc),
     };
     let mut line = Session::open(&port)?;
     let calibration = ExpectedCalibration { expected, is_strict };
@@ -69,11 +69,16 @@ pub fn run(
     let mut line_start = start;
     let mut lines = 0_u64;
     while count.is_none_or(|count| lines < count) {
-        let line_end = line_start + LINE_PERIOD;
+        let line_end = line_start + OUTPUT_LINE_PERIOD;
         match &mut session {
             Some(open) => {
-                let received =
-                    receive_until(open, line_end, &mut tally, recorder.as_mut(), &calibration);
+                let received = receive_events_until(
+                    open,
+                    line_end,
+                    &mut tally,
+                    recorder.as_mut(),
+                    &calibration,
+                );
                 match (received, &recorder) {
                     (Err(error), Some(_)) if error.is::<ConnectionLost>() => {
                         trueup_output::write_diagnostic(format_args!(
@@ -85,7 +90,7 @@ pub fn run(
                 }
             }
             None => {
-                session = reopen_connection(&port, line_end, recorder.as_mut(), &calibration)?;
+                session = reconnect(&port, line_end, recorder.as_mut(), &calibration)?;
             }
         }
         if let Some(recorder) = &mut recorder {
@@ -112,7 +117,7 @@ pub fn run(
             outcome = Outcome::NotMet;
         }
         // A recording does not need a reader, and goes on.
-        if !trueup_output::has_reader() && recorder.is_none() {
+        if !trueup_output::has_stdout_reader() && recorder.is_none() {
             break;
         }
     }
@@ -131,7 +136,7 @@ pub fn run(
 struct ConnectionLost;
 
 /// Takes what comes until `line_end`.
-fn receive_until(
+fn receive_events_until(
     session: &mut Session,
     line_end: Instant,
     tally: &mut MonitorStatistics,
@@ -158,7 +163,7 @@ fn receive_until(
 }
 
 /// Opens the line again, if that is possible until `line_end`.
-fn reopen_connection(
+fn reconnect(
     port: &Port,
     line_end: Instant,
     recorder: Option<&mut Recorder>,
@@ -173,7 +178,7 @@ fn reopen_connection(
             }
             return Ok(Some(session));
         }
-        thread::sleep(REOPEN_INTERVAL.min(line_end.saturating_duration_since(Instant::now())));
+        thread::sleep(RECONNECT_DELAY.min(line_end.saturating_duration_since(Instant::now())));
     }
     Ok(None)
 }
@@ -210,7 +215,7 @@ impl ExpectedCalibration {
 }
 
 /// Returns the CRC of the calibration of a machine file; `None`: it cannot be read or does not compile.
-fn compiled_crc(machine: &Path) -> Option<u32> {
+fn compiled_calibration_crc(machine: &Path) -> Option<u32> {
     let machine = MachineFile::read(machine).ok()?;
     compile(&machine).ok().map(|compiled| compiled.crc())
 }
@@ -233,7 +238,7 @@ struct MonitorLine {
     output: Option<Output>,
     frames_per_s: f64,
     /// Since the start.
-    counters: Counters,
+    counters: FrameCounters,
     /// Since the start.
     refused_statuses: u32,
     /// Since the start.
@@ -265,7 +270,7 @@ impl MonitorStatistics {
             output: self.output.take(),
             frames_per_s: frames as f64 / elapsed.as_secs_f64(),
             counters: self.offsets.counters(),
-            refused_statuses: self.board.rejected_frame_count(),
+            refused_statuses: self.board.rejected_status_frame_count(),
             malformed_lines: self.malformed_lines,
             unpaired: self.offsets.unpaired_count(),
         }
@@ -275,7 +280,7 @@ impl MonitorStatistics {
 impl MonitorLine {
     /// Offsets came, and until now no frame was damaged or out of order.
     fn is_error_free(&self) -> bool {
-        let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters;
+        let FrameCounters { malformed, crc_errors, sequence_errors, .. } = self.counters;
         self.output.is_some()
             && malformed == 0
             && crc_errors == 0
@@ -292,7 +297,7 @@ impl MonitorLine {
             },
             None => "no offsets came".into(),
         };
-        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
+        let FrameCounters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
         format!(
             "{output}  {:.0} frames/s  errors: crc {crc_errors}, sequence {sequence_errors}, \
              malformed {}, lost {lost}, unpaired {}",
@@ -303,7 +308,7 @@ impl MonitorLine {
     }
 
     fn to_json(&self, since_start: Duration, board: &BoardStatus) -> Value {
-        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
+        let FrameCounters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
         let mut line = output_to_json(self.output.as_ref());
         line["time_s"] = json!(since_start.as_secs_f64());
         line["frames_per_s"] = json!(self.frames_per_s);

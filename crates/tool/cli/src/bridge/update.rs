@@ -55,10 +55,10 @@ struct UpdateOutcome {
 /// Updates the board with the firmware of a file.
 pub fn run(args: &UpdateArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::enable_best_effort();
+    trueup_output::enable_best_effort_output();
     let file = read_firmware_file(&args.file)?;
     let how = LoadMode { yes: args.yes, keep_running: args.keep_running };
-    how.check_can_confirm(as_json)?;
+    how.check_confirmation_possible(as_json)?;
     let port = Line::parse(&args.port.port)?;
     ctrlc::set_handler(|| IS_INTERRUPTED.store(true, Ordering::Relaxed))
         .context("signal handler")?;
@@ -111,7 +111,7 @@ fn update_firmware<'f>(
     let header = firmware.image.header;
     for slot in Slot::ALL {
         let runs = if slot == before.running { " (runs)" } else { "" };
-        let content = before.content(slot);
+        let content = before.slot_content(slot);
         trueup_output::write_diagnostic(format_args!("slot {}: {content}{runs}", slot.name()));
     }
     trueup_output::write_diagnostic(format_args!(
@@ -178,8 +178,8 @@ impl UpdateOutcome {
             header.length
         ))?;
         let [_, now] = &self.slots;
-        let (running, content) = (now.running.name(), now.content(now.running));
-        let target = now.content(header.slot);
+        let (running, content) = (now.running.name(), now.slot_content(now.running));
+        let target = now.slot_content(header.slot);
         output::print(match (how.keep_running, now.running == header.slot) {
             (true, _) => format!(
                 "{version} is used from the next start; now the bridge runs from slot {running}: {content}"
@@ -208,7 +208,7 @@ impl UpdateOutcome {
     fn confirmation_instructions(&self) -> String {
         let [_, now] = &self.slots;
         let (slot, other) = (now.running, now.running.other());
-        let (content, back) = (now.content(slot), now.content(other));
+        let (content, back) = (now.slot_content(slot), now.slot_content(other));
         let begin =
             format!("the bridge has restarted, and runs from slot {}: {content}", slot.name());
         match now.choice_reason() {

@@ -18,7 +18,7 @@ use crate::UserError;
 /// How often Ctrl-C is looked for.
 const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(100);
 /// The character of the key Esc.
-const ESCAPE: char = '\u{1b}';
+const ESCAPE_CHAR: char = '\u{1b}';
 
 /// The answers.
 pub struct AnswerSource {
@@ -65,7 +65,7 @@ impl AnswerSource {
                 Err(RecvTimeoutError::Disconnected) => bail!("the terminal cannot be read"),
             }
         };
-        if answer.starts_with(ESCAPE) {
+        if answer.starts_with(ESCAPE_CHAR) {
             bail!(Interrupted);
         }
         Ok(Some(answer.trim().to_owned()).filter(|answer| !answer.is_empty()))

@@ -13,7 +13,7 @@ use trueup_client::{
 use trueup_link::status::StateBits;
 use trueup_machine::compile;
 
-use super::CommissioningRun;
+use super::CommissioningSession;
 use crate::{UserError, bridge::with_session};
 
 /// The user wants it to end.
@@ -77,7 +77,7 @@ impl BoardContent {
     }
 }
 
-impl CommissioningRun<'_> {
+impl CommissioningSession<'_> {
     /// Fails if the board works for another machine than the machine file's.
     pub(super) fn check_board_identity(&self) -> Result<()> {
         let BoardContent { crc, owner, .. } = BoardContent::read_from_port(&self.args.port)?;

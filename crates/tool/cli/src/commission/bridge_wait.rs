@@ -4,13 +4,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use trueup_client::{port::Port, session::Session};
-use trueup_core::cnc::{Output, Quality};
+use trueup_core::cnc::{OffsetQuality, Output};
 use trueup_link::{receiver::OffsetReceiver, slcan::Event};
 
 use super::board_backup::check_interrupt;
 
 /// Time to walk to the machine, set a gauge and come back.
-const WAIT_TIMEOUT: Duration = Duration::from_secs(600);
+const OPERATOR_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// How often Ctrl-C is looked for.
 const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(200);
@@ -18,7 +18,7 @@ const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(200);
 /// Until the bridge's offsets are as required.
 pub fn wait_for_output(port: &str, is_requested: impl Fn(&Output) -> bool) -> Result<()> {
     let mut session = Session::open(&Port::parse(port)?)?;
-    let deadline = Instant::now() + WAIT_TIMEOUT;
+    let deadline = Instant::now() + OPERATOR_TIMEOUT;
     let mut offsets = OffsetReceiver::new();
     while Instant::now() < deadline {
         check_interrupt()?;
@@ -34,7 +34,7 @@ pub fn wait_for_output(port: &str, is_requested: impl Fn(&Output) -> bool) -> Re
     session.close();
     bail!(
         "the bridge does not come to it in {} min; the same command goes on",
-        WAIT_TIMEOUT.as_secs() / 60
+        OPERATOR_TIMEOUT.as_secs() / 60
     )
 }
 
@@ -42,7 +42,7 @@ pub fn wait_for_output(port: &str, is_requested: impl Fn(&Output) -> bool) -> Re
 pub fn wait_until_disengaged(port: &str, report: impl Fn()) -> Result<()> {
     let is_reported = std::cell::Cell::new(false);
     wait_for_output(port, |output| {
-        let is_off = matches!(output.quality, Quality::Off | Quality::Fault);
+        let is_off = matches!(output.quality, OffsetQuality::Off | OffsetQuality::Fault);
         if !is_off && !is_reported.replace(true) {
             report();
         }

@@ -3,7 +3,7 @@
 //! brought back. Signs are where a part is lost; 10 µm lose none.
 
 use trueup_client::state_text::offset_um;
-use trueup_core::cnc::{Output, Quality};
+use trueup_core::cnc::{OffsetQuality, Output};
 use trueup_machine::{
     Machine,
     file::{ElongationSource, LinearAxis, MachineKind, PitchErrorTable, Spindle, Warmup},
@@ -121,7 +121,7 @@ pub fn sign_test_machine(
 
 /// The bridge gives what takes the error in this direction away.
 pub fn is_offset_correct(output: &Output, direction: [f64; 3]) -> bool {
-    let is_live = matches!(output.quality, Quality::Live | Quality::WarmUpModel);
+    let is_live = matches!(output.quality, OffsetQuality::Live | OffsetQuality::WarmUpModel);
     let Some(offset) = offset_um(output).filter(|_| is_live) else { return false };
     let along: f64 = offset.iter().zip(direction).map(|(offset, v)| offset * v).sum();
     (along + SIMULATED_GROWTH_UM).abs() <= OFFSET_TOLERANCE_UM
@@ -173,7 +173,7 @@ impl SignTestVerdict {
 mod tests {
     use super::*;
     use std::path::Path;
-    use trueup_core::{cnc::Flags, units::Nanometres};
+    use trueup_core::{cnc::OffsetFlags, units::Nanometres};
     use trueup_machine::{MachineFile, compile};
 
     #[test]
@@ -198,17 +198,17 @@ mod tests {
         let output = |z: i32, quality| Output {
             offset: Some([0, 0, z].map(Nanometres)),
             quality,
-            flags: Flags::NONE,
+            flags: OffsetFlags::NONE,
             age_ms: 1,
         };
         let down = [0.0, 0.0, -1.0];
-        assert!(is_offset_correct(&output(10_000, Quality::Live), down));
-        assert!(!is_offset_correct(&output(-10_000, Quality::Live), down));
-        assert!(!is_offset_correct(&output(9_000, Quality::Live), down), "on its way");
-        assert!(!is_offset_correct(&output(10_000, Quality::Hold), down));
+        assert!(is_offset_correct(&output(10_000, OffsetQuality::Live), down));
+        assert!(!is_offset_correct(&output(-10_000, OffsetQuality::Live), down));
+        assert!(!is_offset_correct(&output(9_000, OffsetQuality::Live), down), "on its way");
+        assert!(!is_offset_correct(&output(10_000, OffsetQuality::Hold), down));
         // An axis that stands too far is brought back.
-        assert!(is_offset_correct(&output(-10_000, Quality::Live), [0.0, 0.0, 1.0]));
-        assert!(!is_offset_correct(&output(-10_000, Quality::Live), [1.0, 0.0, 0.0]));
+        assert!(is_offset_correct(&output(-10_000, OffsetQuality::Live), [0.0, 0.0, 1.0]));
+        assert!(!is_offset_correct(&output(-10_000, OffsetQuality::Live), [1.0, 0.0, 0.0]));
     }
 
     #[test]

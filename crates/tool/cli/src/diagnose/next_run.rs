@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Returns the run as a control is to do it.
-fn build_plan(
+fn build_measurement_plan(
     next: &NextRun,
     machine: &Machine,
     options: &MeasurementOptions,
@@ -52,7 +52,7 @@ fn build_plan(
 }
 
 /// Returns how long the run lasts with a gauge that is recorded, where that saves a third of a run by hand.
-fn recorded_gauge_minutes(
+fn recorded_gauge_run_minutes(
     diagnosis: &Diagnosis,
     next: &NextRun,
     gauge: ReadingMethod,
@@ -105,7 +105,7 @@ pub fn write_next_run(
     let options = args.motion.to_options()?;
     let next = match diagnosis.next_run(gauge) {
         Ok(next) => {
-            if let Some(minutes) = recorded_gauge_minutes(diagnosis, &next, gauge) {
+            if let Some(minutes) = recorded_gauge_run_minutes(diagnosis, &next, gauge) {
                 report::warn(format_args!(
                     "with a gauge that a program records the next run lasts {minutes:.0} minutes instead of {:.0}: --gauge auto",
                     next.minutes
@@ -128,7 +128,7 @@ pub fn write_next_run(
     let planned = control
         .to_control()
         .check_machine(machine)
-        .and_then(|()| build_plan(&next, machine, &options));
+        .and_then(|()| build_measurement_plan(&next, machine, &options));
     let mut plan = match planned {
         Ok(plan) => plan,
         Err(refused) => {

@@ -16,7 +16,7 @@ use crate::choice::described;
 /// Exit 3: the runs say that it should not be compensated, and nothing is written; or a tolerance
 /// is not reached.
 #[derive(Args)]
-pub struct Fit {
+pub struct FitArgs {
     #[command(subcommand)]
     pub kind: FitKind,
 }
@@ -27,25 +27,25 @@ pub enum FitKind {
     Straightness(StraightnessArgs),
     /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors. The figures of ISO 230-2
     /// are written next to it as a page, OUT.html.
-    Pitch(Pitch),
+    Pitch(PitchArgs),
     /// [axis.x.backlash] alone; the figures of ISO 230-2 as a page, OUT.html.
-    Backlash(Backlash),
+    Backlash(BacklashArgs),
     /// [spindle.sensor] or [spindle.temperature]: the spindle's growth.
-    Elongation(Elongation),
+    Elongation(ElongationArgs),
     /// [spindle.warmup]: the growth over time, from cold; one run for each speed.
-    Warmup(Warmup),
+    Warmup(WarmupArgs),
     /// [axis.x.thermal]: an axis's growth with a temperature.
-    Thermal(Thermal),
+    Thermal(ThermalArgs),
     /// `[squareness]`, `[axis.x.backlash]`, `[axis.x.pitch]` and `[straightness.y_of_x]` by a ball
     /// bar or an indicator on a circle. Gives the causes of its form, the figures of ISO 230-4, and
     /// the polar plot as a page.
-    Circle(Circle),
+    Circle(CircleArgs),
     /// The 21 errors of three axes and the lines of rotary axes, from any mix of balls, step
     /// diagonals, circles, straight edges and lengths. Writes `[axis.x.pitch]`, `[straightness]`,
     /// `[squareness]`, `[angular]`, `[rotary]`.
-    Volume(Volume),
+    Volume(VolumeArgs),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
-    Table1(Table1),
+    Table1(Table1Args),
 }
 
 impl FitKind {
@@ -140,7 +140,7 @@ pub struct PositionArgs {
 /// Exit 3: nothing is claimed, and something is left that is no noise.
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times: both directions, up to three planes")))]
-pub struct Circle {
+pub struct CircleArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The folder for report.html and circle.json. Default: no folder, the page is OUT.html.
@@ -158,7 +158,7 @@ pub struct Circle {
 ///
 /// Exit 3: no correction is better on held-out readings by more than the standard error, and nothing is written.
 #[derive(Args)]
-pub struct Volume {
+pub struct VolumeArgs {
     /// A run file; may be given several times: all instruments and set-ups.
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
@@ -198,7 +198,7 @@ pub struct StraightnessArgs {
 /// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file, one for each curve and each diagonal")))]
-pub struct Table1 {
+pub struct Table1Args {
     #[command(flatten)]
     pub measured: FitInputArgs,
     #[command(flatten)]
@@ -227,7 +227,7 @@ const FIT_METHODS: [(FitMethod, &str, &str); 2] = [
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; of a gantry axis one for each drive")))]
-pub struct Pitch {
+pub struct PitchArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     #[command(flatten)]
@@ -247,7 +247,7 @@ const TABLE_MODES: [(TableMode, &str, &str); 3] = [
 ];
 
 #[derive(Args)]
-pub struct Backlash {
+pub struct BacklashArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     #[command(flatten)]
@@ -260,7 +260,7 @@ pub struct Backlash {
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
-pub struct Elongation {
+pub struct ElongationArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The input that the growth depends on. Default: the machine file's source, else the run's columns.
@@ -278,14 +278,14 @@ const ELONGATION_SOURCES: [(ElongationSource, &str, &str); 2] = [
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file, one for each speed")))]
-pub struct Warmup {
+pub struct WarmupArgs {
     #[command(flatten)]
     pub common: CommonArgs,
 }
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
-pub struct Thermal {
+pub struct ThermalArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     #[command(flatten)]

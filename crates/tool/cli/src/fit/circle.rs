@@ -12,11 +12,11 @@ use trueup_fit::{
     },
 };
 
-use super::{args::Circle, check_output_text, read_machine_source, report};
+use super::{args::CircleArgs, check_output_text, read_machine_source, report};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
-pub fn run(args: &Circle, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CircleArgs, as_json: bool) -> Result<Outcome> {
     let measured = &args.common.measured;
     let machine = measured.machine.as_deref().map(read_machine_source).transpose()?;
     let of_file = machine.as_ref().map(|(_, _, machine)| machine);
@@ -167,7 +167,7 @@ fn circle_json(it: &CircleResult) -> Value {
         "centre_mm": record.centre_mm,
         "radius_mm": record.radius_mm,
         "rows": record.rows.len(),
-        "feed_mm_per_min": record.feed_mm_per_min(),
+        "feed_mm_per_min": record.median_feed_mm_per_min(),
         "noise_um": it.noise_um,
         "before": spread(it.before),
         "after": spread(it.after),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Map, Value, json};
-use trueup_fit::{ExcludedRow, FitVerdict, Report, ResidualStatistics, report::FactValue};
+use trueup_fit::{ExcludedRow, FitReport, FitVerdict, ResidualStatistics, report::FitFactValue};
 
 use super::args::CommonArgs;
 use crate::output;
@@ -13,7 +13,7 @@ use crate::output;
 const MAX_LISTED_ROWS: usize = 20;
 
 /// Prints what was found: warnings on standard error, the rest as text or JSON.
-pub fn print(report: &Report, common: &CommonArgs, written: bool, as_json: bool) -> Result<()> {
+pub fn print(report: &FitReport, common: &CommonArgs, written: bool, as_json: bool) -> Result<()> {
     for warning in &report.warnings {
         crate::report::warn(warning);
     }
@@ -40,12 +40,12 @@ pub fn print(report: &Report, common: &CommonArgs, written: bool, as_json: bool)
     };
     for fact in report.facts.iter().filter(|fact| !in_table(&fact.name)) {
         let value = match &fact.value {
-            FactValue::Number(number) => format!("{number:.4}"),
-            FactValue::Text(text) => text.clone(),
-            FactValue::Numbers(numbers) if numbers.len() <= MAX_LISTED_ROWS => {
+            FitFactValue::Number(number) => format!("{number:.4}"),
+            FitFactValue::Text(text) => text.clone(),
+            FitFactValue::Numbers(numbers) if numbers.len() <= MAX_LISTED_ROWS => {
                 numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
             }
-            FactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
+            FitFactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
         };
         lines.push(format!("  {}: {value}", fact.name));
     }
@@ -102,7 +102,7 @@ pub fn excluded_rows_json(outliers: &[ExcludedRow]) -> Vec<Value> {
         .collect()
 }
 
-fn report_json(report: &Report, common: &CommonArgs, written: bool) -> Value {
+fn report_json(report: &FitReport, common: &CommonArgs, written: bool) -> Value {
     let spread = |spread: Option<ResidualStatistics>| match spread {
         Some(ResidualStatistics { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
         None => Value::Null,
@@ -120,9 +120,9 @@ fn report_json(report: &Report, common: &CommonArgs, written: bool) -> Value {
         .iter()
         .map(|fact| {
             let value = match &fact.value {
-                FactValue::Number(number) => json!(number),
-                FactValue::Numbers(numbers) => json!(numbers),
-                FactValue::Text(text) => json!(text),
+                FitFactValue::Number(number) => json!(number),
+                FitFactValue::Numbers(numbers) => json!(numbers),
+                FitFactValue::Text(text) => json!(text),
             };
             (fact.name.clone(), value)
         })

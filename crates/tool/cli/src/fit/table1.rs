@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use serde_json::{Value, json};
 use trueup_fit::straightness::method_table::{
-    MethodResult, MethodTable, MethodTableOptions, ResidualError, TableEntry, build_method_table,
+    MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualError,
+    build_method_table,
 };
 
 use super::{FitInput, args};
 use crate::{Outcome, origin, output};
 
 /// Makes the table, prints it, and writes the page.
-pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &args::Table1Args, as_json: bool) -> Result<Outcome> {
     let args::FitInputArgs { run, machine } = &args.measured;
     let input = FitInput::read(&args.measured)?;
     let quantity = args.curve.error.quantity();
@@ -42,7 +43,7 @@ pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn print(entry: &TableEntry) -> Result<()> {
+fn print(entry: &MethodTableEntry) -> Result<()> {
     output::print(format_args!("{}, {} positions", entry.name, entry.positions))?;
     output::print(format_args!("  without: {}", format_residuals(&entry.without)))?;
     for row in &entry.rows {
@@ -82,7 +83,7 @@ fn table1_json(table: &MethodTable, page: &Path) -> Value {
             "acceleration_mm_per_s2": row.acceleration_mm_per_s2,
         })
     };
-    let entry = |entry: &TableEntry| {
+    let entry = |entry: &MethodTableEntry| {
         json!({
             "name": entry.name, "positions": entry.positions, "without": left(&entry.without),
             "ways": entry.rows.iter().map(row).collect::<Vec<_>>(),

@@ -9,11 +9,11 @@ use trueup_fit::volume::{
 };
 use trueup_machine::{MachineFile, compile::compile};
 
-use super::{args::Volume, check_output_text, report};
+use super::{args::VolumeArgs, check_output_text, report};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
-pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &VolumeArgs, as_json: bool) -> Result<Outcome> {
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parse_machine(&text, &args.machine)?;
     let runs = files::read_runs_for_fit(&args.run, Some(&machine))?;
@@ -85,7 +85,7 @@ fn volume_text(report: &VolumeReport, output: &Path) -> String {
 
 /// Returns why nothing is written.
 fn rejection_reason(report: &VolumeReport) -> &'static str {
-    match (report.held_out.readings, report.is_improvement()) {
+    match (report.held_out.readings, report.has_significant_improvement()) {
         (0, _) => {
             "no reading could be held out: each set-up has fewer than 12. Measure more places in one set-up"
         }

@@ -19,10 +19,10 @@ use trueup_fleet::{
     structure::{FitRequest, FittedConstants},
     worker::{self, DiagnosisError, DiagnosisFiles, LoadedJob},
 };
-use trueup_machine::{BadInput, Machine, MachineFile, RunFile, file};
+use trueup_machine::{InputFileError, Machine, MachineFile, RunFile, file};
 
 use crate::{
-    diagnose::{DiagnosisInput, RESIDUALS_FILE, diagnosis_files, with_instrument},
+    diagnose::{DiagnosisInput, RESIDUALS_FILE, diagnosis_files, with_instrument_um},
     files, origin, report,
 };
 
@@ -37,7 +37,7 @@ pub fn read_submission(
 ) -> Result<Submission> {
     let source = MachineFile::read_text(&input.machine)?;
     let machine =
-        with_instrument(files::parse_machine(&source, &input.machine)?, input.instrument_um);
+        with_instrument_um(files::parse_machine(&source, &input.machine)?, input.instrument_um);
     let content =
         |path: &Path, bytes: Vec<u8>| SubmittedFile { path: path.display().to_string(), bytes };
     files::read_runs_lenient(&input.run_paths(), &machine)?;
@@ -59,7 +59,7 @@ pub fn read_submission(
         }
     };
     let named = input.runs.first().and_then(|path| path.file_name());
-    let named = named.and_then(|name| dated::parse_day(&name.to_string_lossy()));
+    let named = named.and_then(|name| dated::find_day_in_name(&name.to_string_lossy()));
     Ok(Submission {
         machine: machine_name,
         date: date.or(named).map(dated::format_day),
@@ -80,7 +80,7 @@ pub fn read_submission(
 /// Makes the diagnosis of a job, as `trueup diagnose` makes it of the files that were submitted.
 pub fn diagnose(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles, DiagnosisError> {
     run_diagnosis(loaded, out).map_err(|error| {
-        DiagnosisError::Job(match error.downcast::<BadInput>() {
+        DiagnosisError::Job(match error.downcast::<InputFileError>() {
             Ok(error) => format!("{}: {}", error.place, error.rule),
             Err(error) => format!("{error:#}"),
         })
@@ -102,7 +102,7 @@ fn read_job_files(loaded: &LoadedJob) -> Result<LoadedJobFiles> {
     files::set_job_accepted_keys(&request.accept);
     let path = Path::new(&job.machine_file.path);
     let source = String::from_utf8(loaded.machine_file.clone())?;
-    let machine = with_instrument(files::parse_machine(&source, path)?, request.instrument_um);
+    let machine = with_instrument_um(files::parse_machine(&source, path)?, request.instrument_um);
     let read = |(file, bytes): (&JobFile, &Vec<u8>)| {
         RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))
     };
@@ -184,7 +184,10 @@ fn parse_quantity(name: &str) -> Option<file::Quantity> {
 }
 
 /// Returns what a result says of its machine.
-pub fn build_record(store: &FleetStore, stored: &StoredResult) -> Result<MachineRecord, String> {
+pub fn build_machine_record(
+    store: &FleetStore,
+    stored: &StoredResult,
+) -> Result<MachineRecord, String> {
     let done = &stored.done;
     let bytes = stored.files.get(DIAGNOSIS_FILE).ok_or("has no diagnosis.json")?;
     let diagnosis: serde_json::Value =
@@ -198,7 +201,7 @@ pub fn build_record(store: &FleetStore, stored: &StoredResult) -> Result<Machine
         .map_err(|error| error.rule)?;
     Ok(MachineRecord {
         machine: done.machine.clone(),
-        day: done.date.as_deref().and_then(dated::parse_day),
+        day: done.date.as_deref().and_then(dated::find_day_in_name),
         verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),
         belief: model_fingerprint(machine, quantity),
         quantity: quantity.into(),

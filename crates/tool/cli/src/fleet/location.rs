@@ -43,9 +43,10 @@ pub enum FleetBackend {
 
 impl FleetLocationArgs {
     /// Opens a place for a first job, and makes what is missing there.
-    pub fn create(&self) -> Result<FleetBackend> {
+    pub fn create_backend(&self) -> Result<FleetBackend> {
         let Some(dir) = &self.dir else {
-            let remote = RemoteFleet::create(&self.access()?).map_err(to_user_error)?;
+            let remote =
+                RemoteFleet::create(&self.connection_settings()?).map_err(to_user_error)?;
             return Ok(FleetBackend::Server(Box::new(remote)));
         };
         let named = |error| UserError(format!("{}: cannot be made: {error}", dir.display()));
@@ -53,9 +54,9 @@ impl FleetLocationArgs {
     }
 
     /// Opens a place that has jobs.
-    pub fn open(&self) -> Result<FleetBackend> {
+    pub fn open_backend(&self) -> Result<FleetBackend> {
         let Some(dir) = &self.dir else {
-            let remote = RemoteFleet::open(&self.access()?).map_err(to_user_error)?;
+            let remote = RemoteFleet::open(&self.connection_settings()?).map_err(to_user_error)?;
             return Ok(FleetBackend::Server(Box::new(remote)));
         };
         let rule = "is no folder of a fleet: trueup fleet submit makes it";
@@ -64,8 +65,11 @@ impl FleetLocationArgs {
         Ok(FleetBackend::Folder(store))
     }
 
-    fn access(&self) -> Result<ConnectionSettings, UserError> {
-        server_access(self.nats.as_deref().unwrap_or_default(), self.nats_ca.as_deref())
+    fn connection_settings(&self) -> Result<ConnectionSettings, UserError> {
+        server_connection_settings(
+            self.nats.as_deref().unwrap_or_default(),
+            self.nats_ca.as_deref(),
+        )
     }
 
     /// Returns the options that name the place, for a line to be typed.
@@ -100,7 +104,10 @@ impl FleetBackend {
 }
 
 /// Returns how a server is reached.
-pub fn server_access(url: &str, authority: Option<&Path>) -> Result<ConnectionSettings, UserError> {
+pub fn server_connection_settings(
+    url: &str,
+    authority: Option<&Path>,
+) -> Result<ConnectionSettings, UserError> {
     if url.contains('@') {
         let rule = "name and password stand in TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD, not in the address";
         return Err(UserError(format!("--nats: {rule}")));

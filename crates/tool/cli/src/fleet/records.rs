@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use trueup_fleet::nats::records;
 use trueup_serve::sparkplug::payload_to_json;
 
-use super::location::server_access;
+use super::location::server_connection_settings;
 use crate::{Outcome, UserError, output, report};
 
 /// Prints the records and events that bridges have published to the server, the oldest first, each once: a line of JSON
@@ -31,7 +31,7 @@ pub struct RecordsArgs {
 }
 
 pub fn run(args: &RecordsArgs) -> Result<Outcome> {
-    let access = server_access(&args.nats, args.nats_ca.as_deref())?;
+    let access = server_connection_settings(&args.nats, args.nats_ca.as_deref())?;
     let (mut known, mut foreign) = (PrintedRecords::default(), 0_u64);
     let mut failed = None;
     let read = records::read(&access, &mut |topic: &str, payload: &[u8]| {
@@ -39,7 +39,7 @@ pub fn run(args: &RecordsArgs) -> Result<Outcome> {
             foreign += 1;
             return Ok(());
         };
-        if record_id(&record).is_some_and(|(file, number)| !known.insert(file, number)) {
+        if parse_record_id(&record).is_some_and(|(file, number)| !known.insert(file, number)) {
             return Ok(());
         }
         record["topic"] = json!(topic);
@@ -88,7 +88,7 @@ impl PrintedRecords {
 }
 
 /// Returns the two numbers of the identifier of a record.
-fn record_id(record: &Value) -> Option<(u64, u64)> {
+fn parse_record_id(record: &Value) -> Option<(u64, u64)> {
     let (file, number) = record["id"].as_str()?.split_once('-')?;
     Some((u64::from_str_radix(file, 16).ok()?, number.parse().ok()?))
 }
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_record_that_came_twice_has_one_identifier() {
-        let id = |text: &str| record_id(&json!({ "id": text }));
+        let id = |text: &str| parse_record_id(&json!({ "id": text }));
         assert_eq!(id("00000000000000ff-12"), Some((255, 12)));
         assert_ne!(id("00000000000000ff-12"), id("00000000000000fe-12"));
         assert_eq!(id("of another program"), None);

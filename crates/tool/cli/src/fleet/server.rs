@@ -62,7 +62,7 @@ pub struct ServerArgs {
 pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
     let program = args.program.as_deref().unwrap_or(Path::new(SERVER_PROGRAM));
     let (major, minor) =
-        server::check_version(program).map_err(|error| UserError(error.to_string()))?;
+        server::check_server_version(program).map_err(|error| UserError(error.to_string()))?;
     let login = credentials_from_env()?;
     let addresses = [Some(("--listen", args.listen)), args.mqtt.map(|mqtt| ("--mqtt", mqtt))];
     for (option, address) in
@@ -124,7 +124,7 @@ fn prepare_streams(
     let made = config.store_folder().join(RECORDS_LIMIT_FILE);
     let there: Option<u32> =
         fs::read_to_string(&made).ok().and_then(|text| text.trim().parse().ok());
-    let Some(records_gb) = changed_records_limit(records_gb, there) else { return Ok(()) };
+    let Some(records_gb) = changed_records_limit_gb(records_gb, there) else { return Ok(()) };
     let listen = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
     let alone = ServerConfig { listen, certificate: None, mqtt: None, ..config.clone() };
     let file = config.folder.join("prepare.conf");
@@ -141,7 +141,7 @@ fn prepare_streams(
 }
 
 /// Returns the limit that the streams are to get, from what the user requests and what is there; `None`: they have it.
-fn changed_records_limit(requested: Option<u32>, there: Option<u32>) -> Option<u32> {
+fn changed_records_limit_gb(requested: Option<u32>, there: Option<u32>) -> Option<u32> {
     let limit = requested.or(there).unwrap_or(DEFAULT_RECORDS_LIMIT_GB);
     (there != Some(limit)).then_some(limit)
 }
@@ -214,9 +214,9 @@ mod tests {
 
     #[test]
     fn a_missing_limit_removes_no_record() {
-        assert_eq!(changed_records_limit(None, Some(100)), None);
-        assert_eq!(changed_records_limit(None, None), Some(DEFAULT_RECORDS_LIMIT_GB));
-        assert_eq!(changed_records_limit(Some(8), Some(8)), None);
-        assert_eq!(changed_records_limit(Some(8), Some(4)), Some(8));
+        assert_eq!(changed_records_limit_gb(None, Some(100)), None);
+        assert_eq!(changed_records_limit_gb(None, None), Some(DEFAULT_RECORDS_LIMIT_GB));
+        assert_eq!(changed_records_limit_gb(Some(8), Some(8)), None);
+        assert_eq!(changed_records_limit_gb(Some(8), Some(4)), Some(8));
     }
 }

@@ -16,7 +16,7 @@ use trueup_servo::component::{C_HEADER, C_SOURCE, LIBRARY_FILE_NAME};
 
 use crate::{Outcome, UserError, output};
 
-const MODULE_NAME: &str = "trueup_node";
+const REALTIME_COMPONENT_NAME: &str = "trueup_node";
 /// Sections that nothing calls are omitted: the library has more than a bridge needs.
 const MAKEFILE: &str = "obj-m += trueup_node.o\n\
     trueup_node-objs := trueup_node.o libtrueup_servo.a\n\
@@ -38,7 +38,7 @@ pub struct ComponentArgs {
 
 /// Builds it, and installs it if requested.
 pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
-    let library = find_library(args.library.as_deref())?;
+    let library = find_servo_library(args.library.as_deref())?;
     if Command::new("halcompile").arg("--print-modinc").output().is_err() {
         let rule = "halcompile is not installed: sudo apt-get install linuxcnc-uspace-dev";
         return Err(UserError(rule.into()).into());
@@ -52,7 +52,7 @@ pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
     let copy = out.join(LIBRARY_FILE_NAME);
     fs::copy(&library, &copy).with_context(|| format!("{} cannot be written", copy.display()))?;
     run_make(out, &["modules"], false)?;
-    let module = out.join(format!("{MODULE_NAME}.so"));
+    let module = out.join(format!("{REALTIME_COMPONENT_NAME}.so"));
     if args.install {
         run_make(out, &["install"], !is_root()?)?;
     }
@@ -60,7 +60,7 @@ pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
         output::print(json!({"module": module, "installed": args.install}))?;
     } else if args.install {
         output::print(format!(
-            "installed: {MODULE_NAME}; then: trueup linuxcnc setup INI --machine M.toml --no-board"
+            "installed: {REALTIME_COMPONENT_NAME}; then: trueup linuxcnc setup INI --machine M.toml --no-board"
         ))?;
     } else {
         output::print(format!("built: {}; install it with --install", module.display()))?;
@@ -86,7 +86,7 @@ fn run_make(folder: &Path, targets: &[&str], as_root: bool) -> Result<()> {
 }
 
 /// Returns the library: as given, else where a release has it, next to the program or in its `lib`.
-fn find_library(given: Option<&Path>) -> Result<PathBuf> {
+fn find_servo_library(given: Option<&Path>) -> Result<PathBuf> {
     if let Some(path) = given {
         let missing = || UserError(format!("{}: there is no such file", path.display())).into();
         return if path.is_file() { Ok(path.to_path_buf()) } else { Err(missing()) };

@@ -35,7 +35,7 @@ const POSITION_PERIOD_MS: u64 = 2;
 const UM_PER_MM: f64 = 1e3;
 
 /// Where offsets enter LinuxCNC.
-pub const OFFSET_ENTRIES: [(OffsetEntryPoint, &str, &str); 2] = [
+pub const OFFSET_ENTRY_POINTS: [(OffsetEntryPoint, &str, &str); 2] = [
     (
         OffsetEntryPoint::Eoffset,
         "eoffset",
@@ -82,7 +82,7 @@ pub struct CheckArgs {
     #[arg(value_name = "INI")]
     ini: PathBuf,
     /// Where offsets enter. Without this as it is set up, else at the joint.
-    #[arg(long, value_parser = described(OFFSET_ENTRIES))]
+    #[arg(long, value_parser = described(OFFSET_ENTRY_POINTS))]
     by: Option<OffsetEntryPoint>,
     /// The machine file that the bridge is loaded with: largest offset, slew limit, what it corrects.
     #[arg(long, value_name = "M.toml")]
@@ -102,7 +102,7 @@ pub struct SetupArgs {
     #[arg(long, conflicts_with_all = ["by", "machine", "port", "no_board", "position_period_ms"])]
     remove: bool,
     /// Where offsets enter. Without this as it is set up, else at the joint.
-    #[arg(long, value_parser = described(OFFSET_ENTRIES))]
+    #[arg(long, value_parser = described(OFFSET_ENTRY_POINTS))]
     by: Option<OffsetEntryPoint>,
     /// The machine file that the bridge is loaded with.
     #[arg(long, value_name = "M.toml")]
@@ -143,14 +143,14 @@ impl Configuration {
     }
 
     /// Where offsets enter, if the user does not say.
-    fn offset_entry(&self, by: Option<OffsetEntryPoint>) -> OffsetEntryPoint {
+    fn offset_entry_point(&self, by: Option<OffsetEntryPoint>) -> OffsetEntryPoint {
         let here = self.installed.as_ref().map(|installed| installed.entry);
         let by_hand = || installed::find_manual_setup(&self.ini, &self.hal).map(|setup| setup.1);
         by.or(here).or_else(by_hand).unwrap_or(OffsetEntryPoint::Joint)
     }
 
     /// Returns what is required of the offsets: without a board if the user says so, or if it is set up so.
-    fn requirements(
+    fn resolve_offset_requirements(
         &self,
         by: Option<OffsetEntryPoint>,
         no_board: bool,
@@ -158,7 +158,7 @@ impl Configuration {
     ) -> Result<OffsetRequirements> {
         let is_here =
             self.installed.as_ref().is_some_and(|installed| installed.bridge.port.is_none());
-        offset_requirements(self.offset_entry(by), no_board || is_here, machine)
+        offset_requirements(self.offset_entry_point(by), no_board || is_here, machine)
     }
 
     /// Returns the machine file as the INI file names it, else as the user does.
@@ -166,7 +166,9 @@ impl Configuration {
         let here =
             || self.installed.as_ref().and_then(|installed| installed.bridge.machine.clone());
         let (name, path) = match (given, here()) {
-            (Some(path), _) => (relative_path_name(path, self.ini.folder()), path.to_path_buf()),
+            (Some(path), _) => {
+                (relative_or_absolute_path(path, self.ini.folder()), path.to_path_buf())
+            }
             (None, Some(name)) => {
                 let path = self.ini.folder().join(expand_home(&name));
                 (name, path)
@@ -195,7 +197,7 @@ fn offset_requirements(
 }
 
 /// LinuxCNC runs in the folder of the INI file: a file in it goes by its name, any other by its whole path.
-fn relative_path_name(path: &Path, folder: &Path) -> String {
+fn relative_or_absolute_path(path: &Path, folder: &Path) -> String {
     let whole = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     let (path, folder) = (whole(path), whole(folder));
     path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned()
@@ -213,7 +215,10 @@ pub fn joint_settings(
 }
 
 /// Returns where offsets at the joints lead beyond their limits, a sentence each.
-pub fn limit_violations(ini: Option<&Path>, machine: Option<&Machine>) -> Result<Vec<String>> {
+pub fn joint_limit_violations(
+    ini: Option<&Path>,
+    machine: Option<&Machine>,
+) -> Result<Vec<String>> {
     let Some(ini) = ini else { return Ok(Vec::new()) };
     let demand = OffsetRequirements::from_machine(OffsetEntryPoint::Joint, machine);
     let found = check::check_joint_limits(&IniLines::read(ini)?, &demand)?;
@@ -227,7 +232,7 @@ pub fn limit_violations(ini: Option<&Path>, machine: Option<&Machine>) -> Result
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
         Command::Check(args) => run_check(args, as_json),
-        Command::Setup(args) if args.remove => run_removal(args, as_json),
+        Command::Setup(args) if args.remove => run_setup_removal(args, as_json),
         Command::Setup(args) => run_setup(args, as_json),
         Command::Component(args) => component::run(args, as_json),
         Command::Keep(args) => keep::run(args),
@@ -238,7 +243,8 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
 fn run_check(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
     let machine = configuration.read_machine(args.machine.as_deref())?;
-    let demand = configuration.requirements(args.by, args.no_board, machine.as_ref())?;
+    let demand =
+        configuration.resolve_offset_requirements(args.by, args.no_board, machine.as_ref())?;
     let found = check::check(&configuration.ini, &configuration.hal, &demand);
     print_report(&found, &demand, as_json)?;
     Ok(if found.is_usable() { Outcome::Done } else { Outcome::NotMet })
@@ -280,7 +286,7 @@ fn print_findings(found: &CheckReport) {
         match severity {
             Severity::Warning => report::warn_at(&Warning { place, what, help }),
             Severity::Error => {
-                let error = trueup_machine::BadInput::new(place, what);
+                let error = trueup_machine::InputFileError::new(place, what);
                 report::report_bad_input(if help.is_empty() {
                     error
                 } else {
@@ -297,9 +303,11 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
     let demand = match args.port {
         // A board takes the place of none.
         Some(_) => {
-            offset_requirements(configuration.offset_entry(args.by), false, machine.as_ref())?
+            offset_requirements(configuration.offset_entry_point(args.by), false, machine.as_ref())?
         }
-        None => configuration.requirements(args.by, args.no_board, machine.as_ref())?,
+        None => {
+            configuration.resolve_offset_requirements(args.by, args.no_board, machine.as_ref())?
+        }
     };
     let before = configuration.installed.as_ref().map(|installed| &installed.bridge);
     let has_board = demand.no_board.is_none();
@@ -347,7 +355,7 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn run_removal(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
+fn run_setup_removal(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
     // HAL files may be gone meanwhile: they are not needed to take lines out.
     let changes = install::prepare_removal(&IniLines::read(&args.ini)?)?;
     write_changes(&changes)?;

@@ -18,14 +18,14 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_store::retained::{self, COPY_SIZE, RetainedCopies};
+use trueup_store::retained::{self, RETAINED_COPY_SIZE, RetainedCopies};
 
 use crate::{Outcome, output};
 
 /// Time between two looks at the memory.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Time between two writes of the file: the most heat that a crash of the computer loses.
-const WRITE_PERIOD: Duration = Duration::from_secs(10);
+const FILE_WRITE_PERIOD: Duration = Duration::from_secs(10);
 /// After this time without a new copy the servo thread counts as gone.
 const COPY_TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -55,7 +55,7 @@ pub fn run(args: &KeepArgs) -> Result<Outcome> {
             (last, changed) = (now, Instant::now());
         }
         let ends = is_gone || stop.load(Ordering::Relaxed) || changed.elapsed() > COPY_TIMEOUT;
-        let is_due = on_disk.is_none() || written.elapsed() >= WRITE_PERIOD || ends;
+        let is_due = on_disk.is_none() || written.elapsed() >= FILE_WRITE_PERIOD || ends;
         if let Some(copies) = last.filter(|_| is_due && last != on_disk) {
             let done = output::write_atomically(&args.file, &[], |out| {
                 out.write_all(copies.as_flattened())
@@ -85,8 +85,8 @@ fn read_valid_copies(memory: &Path) -> Result<Option<RetainedCopies>> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         bytes => bytes.with_context(|| format!("{} cannot be read", memory.display()))?,
     };
-    let mut copies = [[0; COPY_SIZE]; 2];
-    if bytes.len() != 2 * COPY_SIZE {
+    let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
+    if bytes.len() != 2 * RETAINED_COPY_SIZE {
         return Ok(None);
     }
     copies.as_flattened_mut().copy_from_slice(&bytes);

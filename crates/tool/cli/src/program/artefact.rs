@@ -57,7 +57,7 @@ impl ArtefactArgs {
             }
         }
         for entry in &self.angle {
-            let (axis, angles) = parse_angles(entry)
+            let (axis, angles) = parse_axis_angles(entry)
                 .ok_or_else(|| UserError(format!("--angle {entry}: must be like c=-60,0,60")))?;
             if !std::mem::replace(&mut options.angles_deg[axis.index()], angles).is_empty() {
                 return Err(UserError(format!("--angle {} is given twice", axis.name())));
@@ -82,7 +82,7 @@ impl ArtefactArgs {
 }
 
 /// `c=-60,0,60`.
-fn parse_angles(text: &str) -> Option<(RotaryAxis, Vec<f64>)> {
+fn parse_axis_angles(text: &str) -> Option<(RotaryAxis, Vec<f64>)> {
     let (name, list) = text.split_once('=')?;
     let axis = RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name.trim())?;
     let angles: Option<Vec<f64>> = list.split(',').map(|deg| deg.trim().parse().ok()).collect();

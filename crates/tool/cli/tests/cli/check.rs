@@ -201,11 +201,13 @@ fn nothing_is_doubted_in_any_measured_set() {
         let folder = machine.rsplit_once('/').map_or("", |(folder, _)| folder);
         let believed = match machine.ends_with('/') {
             true => Some(desk.path("plain.toml")),
-            false => trueup_measured_data::find_file(machine),
+            false => trueup_measured_data::find_measured_file(machine),
         };
         let Some(believed) = believed else { continue };
         for run in runs {
-            let Some(run) = trueup_measured_data::find_file(&format!("{folder}/{run}.csv")) else {
+            let Some(run) =
+                trueup_measured_data::find_measured_file(&format!("{folder}/{run}.csv"))
+            else {
                 continue;
             };
             let line = format!("check {} {}", believed.display(), run.display());

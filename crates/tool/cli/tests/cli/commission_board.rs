@@ -53,7 +53,7 @@ struct Shop {
 
 impl Shop {
     fn open(desk: &Desk) -> Self {
-        let image = firmware::build_virtual().expect("it builds").display().to_string();
+        let image = firmware::build_virtual_board_image().expect("it builds").display().to_string();
         let plant = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let at = plant.local_addr().expect("bound above");
         let line =

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, fs};
 
 use crate::desk::Desk;
 use trueup_machine::{Machine, MachineFile, RunFile};
-use trueup_measured_data::find_file as measured;
+use trueup_measured_data::find_measured_file as measured;
 
 const MACHINE: &str = "# mine\n[machine]\nname = \"mill\" # the old one\nkind = \"3-axis\"\n";
 

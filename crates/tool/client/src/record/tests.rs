@@ -1,6 +1,6 @@
 use super::*;
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     cnc::Control,
     dimensions::CODES_PER_TICK,
     thermometer::RawReading,
@@ -42,7 +42,7 @@ fn the_counts_of_a_sensor_with_a_temperature_are_those_that_the_board_was_given(
             let control = frames::encode_control(engaged, (ms / 20) as u8);
             node.receive(Interface::Can, &control).expect("in order");
         }
-        let input = Input {
+        let input = TickInput {
             codes: Some(&codes),
             speed: Some(Rpm(24_000)),
             temperatures: Some(&temperatures),
@@ -81,7 +81,7 @@ fn the_last_readings_are_undone_one_after_the_other() {
             assert_eq!(recorder.reading_count(), 3);
             assert_eq!(recorder.undo_gauge_reading().expect("the disk is not full"), Some(12.5));
         }
-        for frame in node.tick(1, Input::default()) {
+        for frame in node.tick(1, TickInput::default()) {
             let at = UNIX_EPOCH + Duration::from_millis(ms.into());
             recorder.receive(&frame, at).expect("the disk is not full");
         }

@@ -24,7 +24,7 @@ use crate::{
     number_format::format_number,
 };
 
-const FILE_NAME: &str = "SERIES-0.TXT";
+const SHEET_FILE_NAME: &str = "SERIES-0.TXT";
 
 /// Returns the parameters of an axis: that of its reference point, and that of its spacing.
 fn parameter_numbers(axis: LinearAxis) -> Option<(u32, u32)> {
@@ -95,7 +95,7 @@ pub(super) fn write_sheet(
             Ok((negative, spacing_mm, values)) => {
                 let back = AxisTables::from_single_table(negative, spacing_mm, values, backlash);
                 let axis = drive.axis.index() + 1;
-                compare_axis(plan, drive, &back, (axis, FILE_NAME), options, export);
+                compare_axis(plan, drive, &back, (axis, SHEET_FILE_NAME), options, export);
             }
             Err(rule) => {
                 export.report.add_omitted_section(
@@ -105,7 +105,7 @@ pub(super) fn write_sheet(
             }
         }
     }
-    export.files.push(ExportedFile { name: FILE_NAME.into(), text });
+    export.files.push(ExportedFile { name: SHEET_FILE_NAME.into(), text });
 }
 
 /// Returns what is keyed in, a line each: the number, the value, and what it is.

@@ -4,21 +4,21 @@ use std::fmt::Write as _;
 
 use trueup_machine::Machine;
 
-use super::{LookupTable, ModelPart, PlannedTable, Variables, machine_axis_name};
+use super::{IniVariables, LookupTable, ModelPart, PlannedTable, machine_axis_name};
 use crate::{
     Export, ExportOptions, ExportedTable,
     grid::{PointGrid, comparison_positions_mm, find_largest_residual},
-    report::{Approach, Difference},
+    report::{Approach, LargestDifference},
 };
 
 /// Variables that were read back, or why they could not be: EEC, CEC and machine data.
-pub(super) type ReadBack = [Result<Variables, String>; 3];
+pub(super) type ReadBackVariables = [Result<IniVariables, String>; 3];
 
 pub(super) fn compare(
     machine: &Machine,
     options: &ExportOptions,
     plan: &PlannedTable<'_>,
-    read: &ReadBack,
+    read: &ReadBackVariables,
     export: &mut Export,
 ) {
     let section = match &plan.part {
@@ -53,8 +53,8 @@ fn compare_table(
     machine: &Machine,
     options: &ExportOptions,
     plan: &PlannedTable<'_>,
-    read: &ReadBack,
-) -> Result<(String, String, Difference), String> {
+    read: &ReadBackVariables,
+) -> Result<(String, String, LargestDifference), String> {
     let [eec, cec, data] = read.each_ref().map(|read| read.as_ref().map_err(Clone::clone));
     let unit_mm = options.units.mm_per_unit();
     let um = 1000.0 * unit_mm;
@@ -73,7 +73,7 @@ fn compare_table(
     match &plan.part {
         ModelPart::Drive(drive) => {
             let axis = machine_axis_name(machine, drive.axis, drive.is_second);
-            let own = match (drive.is_bidirectional(), drive.has_table()) {
+            let own = match (drive.is_bidirectional(), drive.is_position_dependent()) {
                 (false, true) => {
                     let _ = write!(name, "$AA_ENC_COMP of {axis} ");
                     Some(LookupTable::from_eec_variables(eec?, &axis)?)
@@ -99,7 +99,7 @@ fn compare_table(
             special.extend(grid.positions_mm());
             let probes =
                 comparison_positions_mm(range, &special, drive.has_constant_extrapolation());
-            let file = match (drive.is_bidirectional(), drive.has_table()) {
+            let file = match (drive.is_bidirectional(), drive.is_position_dependent()) {
                 (true, _) => "NC_CEC.INI",
                 (false, true) => "AX_EEC.INI",
                 (false, false) => "ENABLE.INI",

@@ -6,9 +6,9 @@ use crate::{grid::interpolate_linear, report::Approach};
 
 /// The assignments of an INI file, by the name with its indices: `$AN_CEC_STEP[0]`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Variables(BTreeMap<String, String>);
+pub struct IniVariables(BTreeMap<String, String>);
 
-impl Variables {
+impl IniVariables {
     /// Reads a file from its name line to `M17`.
     ///
     /// # Errors
@@ -76,7 +76,7 @@ impl LookupTable {
     ///
     /// # Errors
     /// A variable of it is missing.
-    pub fn from_eec_variables(variables: &Variables, axis: &str) -> Result<Self, String> {
+    pub fn from_eec_variables(variables: &IniVariables, axis: &str) -> Result<Self, String> {
         let points = read_points(
             variables,
             |what| format!("$AA_ENC_COMP_{what}[0,{axis}]"),
@@ -89,7 +89,7 @@ impl LookupTable {
     ///
     /// # Errors
     /// A variable of it is missing, or no value that the control takes.
-    pub fn from_cec_variables(variables: &Variables, t: usize) -> Result<Self, String> {
+    pub fn from_cec_variables(variables: &IniVariables, t: usize) -> Result<Self, String> {
         let points = read_points(
             variables,
             |what| format!("$AN_CEC_{what}[{t}]"),
@@ -125,7 +125,7 @@ impl LookupTable {
 }
 
 fn read_points(
-    variables: &Variables,
+    variables: &IniVariables,
     parameter: impl Fn(&str) -> String,
     value: impl Fn(usize) -> String,
 ) -> Result<Vec<(f64, f64)>, String> {
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_file_that_breaks_off_is_refused() {
-        assert!(Variables::parse(&ini("$MA_BACKLASH[0,AX1]=0.004\n")).is_ok());
+        assert!(IniVariables::parse(&ini("$MA_BACKLASH[0,AX1]=0.004\n")).is_ok());
         let text = ini("$A[0]=1\n");
         for wrong in [
             text.replace("M17\n", ""),
@@ -163,7 +163,7 @@ mod tests {
             text.replace("$A[0]=1", "A[0]=1"),
             text.replace("$A[0]=1\n", "$A[0]=1\n$A[0]=2\n"),
         ] {
-            assert!(Variables::parse(&wrong).is_err(), "{wrong:?}");
+            assert!(IniVariables::parse(&wrong).is_err(), "{wrong:?}");
         }
     }
 
@@ -174,14 +174,14 @@ mod tests {
                      $AN_CEC_MAX[0]=5\n$AN_CEC_DIRECTION[0]=-1\n$AN_CEC_MULT_BY_TABLE[0]=0\n\
                      $AN_CEC_IS_MODULO[0]=0\n";
         let lookup =
-            LookupTable::from_cec_variables(&Variables::parse(&ini(table)).unwrap(), 0).unwrap();
+            LookupTable::from_cec_variables(&IniVariables::parse(&ini(table)).unwrap(), 0).unwrap();
         assert_eq!((lookup.input.as_str(), lookup.output.as_str()), ("AX1", "AX3"));
         for (position, value) in [(-90.0, 0.0), (0.0, 0.005), (2.5, 0.0075), (90.0, 0.01)] {
             assert!((lookup.value(position, Approach::Negative) - value).abs() < 1e-15);
             assert_eq!(lookup.value(position, Approach::Positive), 0.0);
         }
         let gap = ini(&table.replace("$AN_CEC[0,1]=0.01\n", ""));
-        let missing = LookupTable::from_cec_variables(&Variables::parse(&gap).unwrap(), 0);
+        let missing = LookupTable::from_cec_variables(&IniVariables::parse(&gap).unwrap(), 0);
         assert_eq!(missing, Err("$AN_CEC[0,1] is missing".to_string()));
     }
 }

@@ -11,13 +11,13 @@ use std::fmt::Write as _;
 use trueup_machine::{
     Machine,
     file::{LinearAxis, RotaryAxis, ThermalLaw},
-    model::{elongation_error_um, thermal_coefficients, thermal_um, tool_direction},
+    model::{elongation_error_um, thermal_coefficients, thermal_error_um, tool_direction},
 };
 
-use super::{Variables, build_file, decimal_places, machine_axis_name};
+use super::{IniVariables, build_ini_file, decimal_places, machine_axis_name};
 use crate::{
     Export, ExportOptions, ExportedFile, ExportedTable, axis_errors::travel_mm,
-    grid::interpolate_linear, number_format::format_number, report::Difference,
+    grid::interpolate_linear, number_format::format_number, report::LargestDifference,
 };
 
 /// A law that goes on for ever is written so far to both sides of its reference, in °C.
@@ -34,8 +34,8 @@ pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     let mut types = [0_u8; 3];
     for axis in LinearAxis::ALL {
         let Some(thermal) = &machine.axes[axis.index()].thermal else { continue };
-        types[axis.index()] |=
-            u8::from(thermal.mode.has_constant()) | u8::from(thermal.mode.has_position()) << 1;
+        types[axis.index()] |= u8::from(thermal.mode.has_constant_term())
+            | u8::from(thermal.mode.has_position_term()) << 1;
         write_thermal_compensation(
             &machine_axis_name(machine, axis, false),
             thermal,
@@ -65,8 +65,8 @@ pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     if has_tool {
         settings.push_str("$MC_TOOL_TEMP_COMP_ON=1\n");
     }
-    let settings = build_file("TEMP_COMP.INI", "%_N_TEMP_COMP_INI", &settings);
-    let read = Variables::parse(&settings.text);
+    let settings = build_ini_file("TEMP_COMP.INI", "%_N_TEMP_COMP_INI", &settings);
+    let read = IniVariables::parse(&settings.text);
     export.files.push(settings);
     if has_thermal {
         export.files.push(ExportedFile { name: "temperature.csv".to_string(), text: csv.clone() });
@@ -127,8 +127,8 @@ fn format_coefficients(
     options: &ExportOptions,
 ) -> (String, String) {
     let (constant_um, slope_um_per_m) = thermal_coefficients(thermal, temperature_c);
-    let constant_um = if thermal.mode.has_constant() { constant_um } else { 0.0 };
-    let slope = if thermal.mode.has_position() { slope_um_per_m * 1e-6 } else { 0.0 };
+    let constant_um = if thermal.mode.has_constant_term() { constant_um } else { 0.0 };
+    let slope = if thermal.mode.has_position_term() { slope_um_per_m * 1e-6 } else { 0.0 };
     let value = format_number(
         constant_um / 1000.0 / options.units.mm_per_unit(),
         decimal_places(options.units),
@@ -172,7 +172,7 @@ struct ThermalTables<'m> {
 
 impl ThermalTables<'_> {
     /// Reads the setting data and the PLC's table back, and compares both over the travel.
-    fn compare(&self, settings: &Variables, csv: &str) -> Result<ExportedTable, String> {
+    fn compare(&self, settings: &IniVariables, csv: &str) -> Result<ExportedTable, String> {
         let Self { machine, options, axis, thermal } = *self;
         let name = machine_axis_name(machine, axis, false);
         let unit_mm = options.units.mm_per_unit();
@@ -198,7 +198,7 @@ impl ThermalTables<'_> {
         let correction_um = |constant: f64, slope: f64, position: f64, mm: f64| {
             -(constant + slope * (mm / unit_mm - position)) * unit_mm * 1000.0
         };
-        let mut largest = Difference::NONE;
+        let mut largest = LargestDifference::NONE;
         for place in 0..=20 {
             let mm = from_mm + (to_mm - from_mm) * f64::from(place) / 20.0;
             for part in 0..=2000 {
@@ -206,7 +206,7 @@ impl ThermalTables<'_> {
                 let (constant, slope) =
                     (interpolate_linear(&constants, c), interpolate_linear(&slopes, c));
                 let left =
-                    correction_um(constant, slope, first[3], mm) + thermal_um(thermal, c, mm);
+                    correction_um(constant, slope, first[3], mm) + thermal_error_um(thermal, c, mm);
                 largest.update_max(left, || format!("{c:.2} C, {mm:.1} mm"));
             }
             let now_c = options.temperatures_c.get(&thermal.sensor).copied();
@@ -214,12 +214,12 @@ impl ThermalTables<'_> {
             let set = |what: &str| settings.number(&format!("$SA_TEMP_COMP_{what}[{name}]"));
             let correction =
                 correction_um(set("ABS_VALUE")?, set("SLOPE")?, set("REF_POSITION")?, mm);
-            let left = correction + thermal_um(thermal, now_c, mm);
+            let left = correction + thermal_error_um(thermal, now_c, mm);
             largest.update_max(left, || format!("{now_c:.2} C, {mm:.1} mm, in TEMP_COMP.INI"));
         }
         let bits = settings.number(&format!("$MA_TEMP_COMP_TYPE[{name}]"))? as u8;
-        let requested =
-            u8::from(thermal.mode.has_constant()) | u8::from(thermal.mode.has_position()) << 1;
+        let requested = u8::from(thermal.mode.has_constant_term())
+            | u8::from(thermal.mode.has_position_term()) << 1;
         if bits & 3 != requested {
             return Err(format!("MD32750 of {name} is {bits}"));
         }
@@ -240,7 +240,7 @@ impl ThermalTables<'_> {
 fn export_tool_compensation(
     machine: &Machine,
     options: &ExportOptions,
-    settings: Result<Variables, String>,
+    settings: Result<IniVariables, String>,
     export: &mut Export,
 ) {
     let unit_mm = options.units.mm_per_unit();
@@ -281,9 +281,9 @@ fn export_tool_compensation(
 fn compare_tool_compensation(
     machine: &Machine,
     options: &ExportOptions,
-    settings: &Variables,
+    settings: &IniVariables,
     csv: &str,
-) -> Result<Difference, String> {
+) -> Result<LargestDifference, String> {
     let um = options.units.mm_per_unit() * 1000.0;
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for line in csv.lines().skip(1) {
@@ -302,7 +302,7 @@ fn compare_tool_compensation(
         .collect();
     let set = |index: usize| settings.number(&format!("$SC_TOOL_TEMP_COMP[{index}]"));
     cases.push((options.elongation_um, [set(0)? * um, set(1)? * um, set(2)? * um]));
-    let mut largest = Difference::NONE;
+    let mut largest = LargestDifference::NONE;
     for (s_um, at_zero_um) in cases {
         for first in -6..=6 {
             for second in -6..=6 {

@@ -27,9 +27,9 @@ impl RemoteFleet {
         self.wait_for_response(name, self.files.put(name, &mut bytes.as_slice())).map(|_| ())
     }
 
-    fn fetch(&self, name: &str, path: &Path) -> io::Result<()> {
+    fn fetch_file(&self, name: &str, path: &Path) -> io::Result<()> {
         // A file that is missing or damaged stays so: unlike a server that does not answer it is not requested again.
-        let lost = |error: &dyn Display| invalid_data(&format!("{name}: {error}"));
+        let lost = |error: &dyn Display| invalid_data_error(&format!("{name}: {error}"));
         let bytes = self.wait_for_response(name, async {
             let mut object = match self.files.get(name).await {
                 Err(error) if error.kind() == GetErrorKind::NotFound => {
@@ -48,7 +48,7 @@ impl RemoteFleet {
     }
 
     /// Sends the files of a job.
-    pub(super) fn send_job(&self, store: &FleetStore, id: &str, job: &Job) -> io::Result<()> {
+    pub(super) fn send_job_files(&self, store: &FleetStore, id: &str, job: &Job) -> io::Result<()> {
         let folder = store.job_folder(id);
         job.files().try_for_each(|file| {
             self.send(&format!("jobs/{id}/{}", file.stored), &folder.join(&file.stored))
@@ -56,19 +56,19 @@ impl RemoteFleet {
     }
 
     /// Fetches a job into a folder.
-    pub(super) fn fetch_job(&self, store: &FleetStore, id: &str) -> io::Result<()> {
+    pub(super) fn fetch_job_files(&self, store: &FleetStore, id: &str) -> io::Result<()> {
         let text = self.read_text(&self.jobs, id)?;
-        let text = text.ok_or_else(|| invalid_data("the job is not on the server"))?;
+        let text = text.ok_or_else(|| invalid_data_error("the job is not on the server"))?;
         let job: Job =
-            serde_json::from_str(&text).map_err(|error| invalid_data(&error.to_string()))?;
+            serde_json::from_str(&text).map_err(|error| invalid_data_error(&error.to_string()))?;
         let staged = store.create_staging_folder(&format!("job-{id}-"))?;
         for file in job.files() {
             let name = validate_file_name(&file.stored)?;
-            self.fetch(&format!("jobs/{id}/{name}"), &staged.path().join(name))?;
+            self.fetch_file(&format!("jobs/{id}/{name}"), &staged.path().join(name))?;
         }
         // Last: no file of the job takes its place.
         fs::write(staged.path().join("job.json"), &text)?;
-        store.publish(staged, &store.job_folder(id)).map(|_| ())
+        store.publish_folder(staged, &store.job_folder(id)).map(|_| ())
     }
 
     /// Sends the result of a job, unless it has one. Returns whether it was the first.
@@ -100,17 +100,17 @@ impl RemoteFleet {
     pub(super) fn fetch_result(&self, store: &FleetStore, id: &str) -> io::Result<bool> {
         let Some(text) = self.read_text(&self.results, id)? else { return Ok(false) };
         let of: AttemptResult =
-            serde_json::from_str(&text).map_err(|error| invalid_data(&error.to_string()))?;
+            serde_json::from_str(&text).map_err(|error| invalid_data_error(&error.to_string()))?;
         let staged = store.create_staging_folder(&format!("result-{id}-"))?;
         let out = staged.path().join("out");
         fs::create_dir(&out)?;
         for file in &of.result.files {
             let name = validate_file_name(&file.name)?;
-            self.fetch(&format!("results/{id}/{}/{name}", of.attempt), &out.join(name))?;
+            self.fetch_file(&format!("results/{id}/{}/{name}", of.attempt), &out.join(name))?;
         }
         let text = serde_json::to_string_pretty(&of.result)? + "\n";
         fs::write(staged.path().join("result.json"), text)?;
-        store.publish(staged, &store.result_folder(id)).map(|_| true)
+        store.publish_folder(staged, &store.result_folder(id)).map(|_| true)
     }
 
     /// Marks a folder as the copy of this fleet, by the moment at which its queue was made.
@@ -143,7 +143,8 @@ impl RemoteFleet {
             if store.result_folder(&id).exists() {
                 continue;
             }
-            let fetched = self.fetch_job(store, &id).and_then(|()| self.fetch_result(store, &id));
+            let fetched =
+                self.fetch_job_files(store, &id).and_then(|()| self.fetch_result(store, &id));
             match fetched {
                 Err(error) if error.kind() == io::ErrorKind::InvalidData => damaged.push(format!(
                     "results/{id}: {error}; submit the job again, and a worker does it again"
@@ -155,7 +156,7 @@ impl RemoteFleet {
     }
 }
 
-fn invalid_data(why: &str) -> io::Error {
+fn invalid_data_error(why: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
@@ -164,7 +165,9 @@ fn validate_file_name(name: &str) -> io::Result<&str> {
     let mut parts = Path::new(name).components();
     let is_plain = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
     let is_plain = is_plain && !name.contains(['/', '\\']);
-    is_plain.then_some(name).ok_or_else(|| invalid_data(&format!("{name:?} is no name of a file")))
+    is_plain
+        .then_some(name)
+        .ok_or_else(|| invalid_data_error(&format!("{name:?} is no name of a file")))
 }
 
 /// Returns the identifier in a subject of the queue.

@@ -28,11 +28,11 @@ use super::{
 const MESSAGE_STREAM: &str = "$MQTT_msgs";
 const RETAINED_STREAM: &str = "$MQTT_rmsgs";
 /// In front of the subject of a message in [`MESSAGE_STREAM`].
-const SUBJECT_PREFIX: &str = "$MQTT.msgs.";
+const MESSAGE_SUBJECT_PREFIX: &str = "$MQTT.msgs.";
 /// How long the reader of an output may pause.
 const CONSUMER_INACTIVE_THRESHOLD: Duration = Duration::from_secs(3_600);
 /// Nothing is sent a second time to a consumer that acknowledges nothing.
-const CONNECTION_BROKEN: &str = "the connection broke; begin again";
+const CONNECTION_BROKEN_MESSAGE: &str = "the connection broke; begin again";
 /// Messages that are requested at once.
 const BATCH_SIZE: usize = 500;
 
@@ -56,7 +56,7 @@ pub fn create_streams(access: &ConnectionSettings, max_bytes: i64) -> io::Result
 fn message_stream_config(max_bytes: i64) -> Config {
     Config {
         name: MESSAGE_STREAM.into(),
-        subjects: vec![format!("{SUBJECT_PREFIX}>")],
+        subjects: vec![format!("{MESSAGE_SUBJECT_PREFIX}>")],
         storage: StorageType::File,
         retention: RetentionPolicy::Limits,
         discard: DiscardPolicy::Old,
@@ -104,7 +104,7 @@ pub fn read(
         })?;
         let removed = stream.cached_info().state.first_sequence.saturating_sub(1);
         let config = pull::Config {
-            filter_subject: format!("{SUBJECT_PREFIX}trueup.>"),
+            filter_subject: format!("{MESSAGE_SUBJECT_PREFIX}trueup.>"),
             ack_policy: AckPolicy::None,
             inactive_threshold: CONSUMER_INACTIVE_THRESHOLD,
             memory_storage: true,
@@ -130,7 +130,7 @@ pub fn read(
                 let message = message.map_err(|error| failed(&error))?;
                 let number = message.info().map_err(|error| failed(&error))?.consumer_sequence;
                 if number != next {
-                    return Err(failed(&CONNECTION_BROKEN));
+                    return Err(failed(&CONNECTION_BROKEN_MESSAGE));
                 }
                 next += 1;
                 messages.push(message);
@@ -141,7 +141,7 @@ pub fn read(
             left = left.saturating_sub(messages.len() as u64);
             let info = consumer.get_info().await.map_err(|error| failed(&error))?;
             if info.delivered.consumer_sequence + 1 != next || messages.is_empty() {
-                return Err(failed(&CONNECTION_BROKEN));
+                return Err(failed(&CONNECTION_BROKEN_MESSAGE));
             }
             // The oldest may have given way meanwhile.
             if info.num_pending == 0 {
@@ -154,7 +154,7 @@ pub fn read(
 
 /// Returns the topic of MQTT that the server has made this subject of.
 fn mqtt_topic(subject: &str) -> String {
-    let own = subject.strip_prefix(SUBJECT_PREFIX).unwrap_or(subject);
+    let own = subject.strip_prefix(MESSAGE_SUBJECT_PREFIX).unwrap_or(subject);
     let parts: Vec<String> = own.split("//").map(|part| part.replace('.', "/")).collect();
     parts.join(".")
 }

@@ -117,7 +117,7 @@ fn quote_config_string(text: impl AsRef<OsStr>) -> String {
 ///
 /// # Errors
 /// It does not start, or is too old.
-pub fn check_version(server: &Path) -> io::Result<(u32, u32)> {
+pub fn check_server_version(server: &Path) -> io::Result<(u32, u32)> {
     let (major, minor) = MIN_SERVER_VERSION;
     let refused = |kind, version_text: &dyn fmt::Display| {
         let why = format!(

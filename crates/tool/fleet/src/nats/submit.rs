@@ -21,7 +21,7 @@ impl RemoteFleet {
         let job = Job::read(&store, &id).map_err(io::Error::other)?;
         let there = self.read_text(&self.jobs, &id)?;
         let is_new = there.is_none() && {
-            self.send_job(&store, &id, &job)?;
+            self.send_job_files(&store, &id, &job)?;
             let text = serde_json::to_string_pretty(&job)? + "\n";
             self.put_if_absent(&self.jobs, &id, text)?
         };
@@ -32,14 +32,14 @@ impl RemoteFleet {
         }
         if self.read_text(&self.failed, &id)?.is_some() {
             // A file that was damaged on the server is whole again.
-            self.send_job(&store, &id, &job)?;
+            self.send_job_files(&store, &id, &job)?;
             self.wait_for_response(&id, self.failed.purge(&id))?;
         }
         match self.fetch_result(&store, &id) {
             Ok(true) => return Ok(SubmittedJob { id, is_new, other_date }),
             Ok(false) => {}
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                self.send_job(&store, &id, &job)?;
+                self.send_job_files(&store, &id, &job)?;
                 self.wait_for_response(&id, self.results.purge(&id))?;
             }
             Err(error) => return Err(error),
@@ -65,7 +65,7 @@ impl RemoteFleet {
     }
 
     /// Returns how many jobs have not ended.
-    pub(super) fn open_job_count(&self) -> io::Result<u64> {
+    pub(super) fn unfinished_job_count(&self) -> io::Result<u64> {
         let info = self.wait_for_response("the queue", self.queue.get_info())?;
         Ok(info.state.messages)
     }

@@ -31,7 +31,7 @@ const FETCH_TIMEOUT: Duration = Duration::from_secs(1);
 const SERVER_LOSS_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Reports something to people.
-pub type Reporter<'r> = dyn Fn(&str) + Sync + 'r;
+pub type ReportFn<'r> = dyn Fn(&str) + Sync + 'r;
 
 impl RemoteFleet {
     /// Works until every job has ended, or for ever. A server that goes away is reported and waited for.
@@ -42,7 +42,7 @@ impl RemoteFleet {
         &self,
         options: WorkerOptions,
         diagnose: &DiagnoseFn<'_>,
-        report: &Reporter<'_>,
+        report: &ReportFn<'_>,
     ) -> io::Result<JobCounts> {
         let consumer = self.open_consumer(options.lease, report)?;
         let is_away = AtomicBool::new(false);
@@ -55,7 +55,7 @@ impl RemoteFleet {
 
     /// Returns the consumer of the queue. Its lease is one for all workers: it is set while none of them has a job, else
     /// the one that is there stays.
-    fn open_consumer(&self, lease: Duration, report: &Reporter<'_>) -> io::Result<PullConsumer> {
+    fn open_consumer(&self, lease: Duration, report: &ReportFn<'_>) -> io::Result<PullConsumer> {
         let config = pull::Config {
             durable_name: Some(CONSUMER_NAME.into()),
             ack_policy: AckPolicy::Explicit,
@@ -87,7 +87,7 @@ struct WorkerThreads<'t> {
     consumer: PullConsumer,
     options: WorkerOptions,
     diagnose: &'t DiagnoseFn<'t>,
-    report: &'t Reporter<'t>,
+    report: &'t ReportFn<'t>,
     /// It was reported that the server does not answer.
     is_away: AtomicBool,
     tally: Mutex<JobCounts>,
@@ -105,9 +105,9 @@ impl WorkerThreads<'_> {
     fn run(&self) -> io::Result<()> {
         let mut answered = Instant::now();
         loop {
-            let broken = match self.fetch_next() {
+            let broken = match self.fetch_next_job() {
                 Ok(Some(message)) => self.handle_message(&message),
-                Ok(None) => match self.remote.open_job_count() {
+                Ok(None) => match self.remote.unfinished_job_count() {
                     Ok(0) if self.options.until_empty => return Ok(()),
                     other => other.map(|_| ()).map_err(AttemptError::Server),
                 },
@@ -137,7 +137,7 @@ impl WorkerThreads<'_> {
     }
 
     /// Takes the next job that waits.
-    fn fetch_next(&self) -> io::Result<Option<Message>> {
+    fn fetch_next_job(&self) -> io::Result<Option<Message>> {
         let requested = self.consumer.fetch().max_messages(1).expires(FETCH_TIMEOUT);
         // All of it within the runtime: its drop notifies the server.
         self.remote.wait_for_response("the queue", async {
@@ -193,7 +193,7 @@ impl WorkerThreads<'_> {
         let folder = tempfile::tempdir().map_err(AttemptError::Worker)?;
         let store = FleetStore::create(folder.path()).map_err(AttemptError::Worker)?;
         let failed = |reason: String| json!({"schema": 1, "id": id, "reason": reason}).to_string();
-        let failure = match remote.fetch_job(&store, id) {
+        let failure = match remote.fetch_job_files(&store, id) {
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
                 Some(failed(error.to_string()))
             }

@@ -5,7 +5,7 @@ use trueup_client::pinned_calibration::CalibrationPolicy;
 use trueup_core::{cnc::CncMessage, units::Nanometres};
 use trueup_link::{
     frames::{encode_offset_xy, encode_offset_z},
-    receiver::Receiver,
+    receiver::CncReceiver,
     status::{FrameRejectReason, Status, encode},
 };
 
@@ -19,10 +19,10 @@ fn hub() -> Hub {
 }
 
 fn transmit(hub: &mut Hub, now: u64, offset: Option<i32>) {
-    let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
+    let quality = if offset.is_some() { OffsetQuality::Live } else { OffsetQuality::Fault };
     let offset = offset.map(|nm| [nm, -nm, nm].map(Nanometres));
     let output = Output { offset, quality, age_ms: 2, ..Output::default() };
-    let counter = hub.current_input().counter.wrapping_add(1) as u8;
+    let counter = hub.current_input_block().counter.wrapping_add(1) as u8;
     for frame in [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)] {
         hub.receive(ms(now), &Event::Frame(frame));
     }
@@ -40,7 +40,7 @@ fn z_nm(input: &InputBlock) -> Option<i32> {
 #[test]
 fn before_anything_was_received_nothing_is_available() {
     let hub = hub();
-    assert_eq!((z_nm(&read(&hub)), read(&hub).output.quality), (None, Quality::Fault));
+    assert_eq!((z_nm(&read(&hub)), read(&hub).output.quality), (None, OffsetQuality::Fault));
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn a_silent_bridge_is_reported_by_a_gateway_that_lives() {
     for now in 102..110 {
         hub.refresh_input_block(ms(now));
         let input = read(&hub);
-        assert_eq!((z_nm(&input), input.output.quality), (None, Quality::Fault));
+        assert_eq!((z_nm(&input), input.output.quality), (None, OffsetQuality::Fault));
         assert_eq!(input.counter, last.wrapping_add(1));
         last = input.counter;
     }
@@ -79,7 +79,7 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
     transmit(&mut hub, 1, Some(1_000));
     let before = read(&hub);
     let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
-    let counter = hub.current_input().counter.wrapping_add(1) as u8;
+    let counter = hub.current_input_block().counter.wrapping_add(1) as u8;
     hub.receive(ms(2), &Event::Frame(encode_offset_xy(&output, counter)));
     let whole = encode_offset_z(&output, counter);
     let mut data = *whole.data();
@@ -94,9 +94,9 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
 fn status_is_reported_until_it_is_too_old() {
     let mut hub = hub();
     let items = [
-        Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
-        Item::State(StateBits::RESTARTED),
-        Item::Calibration(7),
+        StatusItem::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
+        StatusItem::State(StateBits::RESTARTED),
+        StatusItem::Calibration(7),
     ];
     for (counter, item) in (0..).zip(items) {
         let status = Status { last_refused: FrameRejectReason::None, item };
@@ -116,7 +116,7 @@ fn constant_and_slope_are_reported_while_all_three_are_fresh() {
     hub.expect_slopes(ms(0));
     let send = |hub: &mut Hub, at: u64, axes: std::ops::Range<u8>, counter: u8| {
         for axis in axes {
-            let item = Item::Slope { axis, constant: Some(-120), slope: -270 };
+            let item = StatusItem::Slope { axis, constant: Some(-120), slope: -270 };
             let status = Status { last_refused: FrameRejectReason::None, item };
             hub.receive(ms(at), &Event::Frame(encode(&status, counter + axis)));
         }
@@ -174,8 +174,8 @@ fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     transmit(&mut hub, 71, Some(0));
     assert_eq!(read(&hub).state, StateBits::SECOND_MASTER.0);
     assert_eq!(hub.accept_block(ms(560), 2, &other), Err(Busy));
-    assert_eq!(hub.control(ms(560)), Some(Control::ENGAGED));
-    assert_eq!(hub.control(ms(561)), None);
+    assert_eq!(hub.fresh_control(ms(560)), Some(Control::ENGAGED));
+    assert_eq!(hub.fresh_control(ms(561)), None);
     assert_eq!(hub.accept_block(ms(561), 2, &other), Ok(BlockOutcome::Used));
     assert_eq!(hub.accept_block(ms(570), 1, &engaged().encode(101)), Err(Busy));
     hub.release_master(1);
@@ -226,7 +226,8 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
 
 /// Lets the bridge report its calibration at this time.
 fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
-    let status = Status { last_refused: FrameRejectReason::None, item: Item::Calibration(crc) };
+    let status =
+        Status { last_refused: FrameRejectReason::None, item: StatusItem::Calibration(crc) };
     hub.receive(ms(now), &Event::Frame(encode(&status, counter)));
 }
 
@@ -236,7 +237,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
         crc: 7,
         path: "m.toml".into(),
     }));
-    let mut receiver = Receiver::new();
+    let mut receiver = CncReceiver::new();
     let mut counter = 0;
     let mut sends = |hub: &mut Hub, now: u64| {
         counter += 1;

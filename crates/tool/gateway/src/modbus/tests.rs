@@ -4,7 +4,7 @@ use super::*;
 use std::sync::atomic::AtomicBool;
 use trueup_client::pinned_calibration::{CalibrationPolicy, PinnedCalibration};
 use trueup_core::{
-    cnc::{Control, Output, Quality},
+    cnc::{Control, OffsetQuality, Output},
     units::Nanometres,
 };
 use trueup_link::{
@@ -53,7 +53,7 @@ impl World {
                 let nm = n % 50_000 * 10;
                 let output = Output {
                     offset: Some([nm, -nm, nm + 1_000].map(Nanometres)),
-                    quality: Quality::Live,
+                    quality: OffsetQuality::Live,
                     ..Output::default()
                 };
                 let mut hub = shared.lock_hub();

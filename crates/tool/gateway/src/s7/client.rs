@@ -18,7 +18,7 @@ use std::{
 };
 
 /// The port of ISO-on-TCP.
-pub const PORT: u16 = 102;
+pub const ISO_ON_TCP_PORT: u16 = 102;
 /// How long the CPU may take for anything.
 const RESPONSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// How long it may take to connect.
@@ -26,7 +26,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// The PDU that is requested; the smallest CPUs grant 240.
 const REQUESTED_PDU_LENGTH: u16 = 480;
 /// The bytes of a write next to its data: header, one item, head of the data.
-const WRITE_OVERHEAD: usize = 28;
+const WRITE_OVERHEAD_BYTES: usize = 28;
 const TPKT_HEADER_LEN: usize = 4;
 const COTP_DATA_HEADER: [u8; 3] = [0x02, 0xF0, 0x80];
 const ROSCTR_JOB: u8 = 1;
@@ -178,7 +178,7 @@ impl Client {
     /// # Errors
     /// The CPU does not take them, or the line is broken. At most as many as fit a PDU.
     pub fn write(&mut self, db: u16, start: usize, bytes: &[u8]) -> Result<(), Error> {
-        if bytes.len() + WRITE_OVERHEAD > self.pdu_length {
+        if bytes.len() + WRITE_OVERHEAD_BYTES > self.pdu_length {
             return Err(Error::Answer("its PDU is too short for the block"));
         }
         let bits = to_u16(8 * bytes.len())?.to_be_bytes();
@@ -312,8 +312,11 @@ fn connect_tcp(address: &str) -> io::Result<TcpStream> {
     let has_port = address
         .rsplit_once(':')
         .is_some_and(|(host, port)| !host.contains(':') && port.parse::<u16>().is_ok());
-    let addresses =
-        if has_port { address.to_socket_addrs()? } else { (address, PORT).to_socket_addrs()? };
+    let addresses = if has_port {
+        address.to_socket_addrs()?
+    } else {
+        (address, ISO_ON_TCP_PORT).to_socket_addrs()?
+    };
     let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
     for address in addresses {
         match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {

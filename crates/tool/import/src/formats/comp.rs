@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
 use crate::{column_meaning::ColumnMeaning, grid::Row, layout::SourceTable};
@@ -17,7 +17,7 @@ pub(super) fn matches_format(path: &Path) -> bool {
 }
 
 /// Reads a compensation file as a pass there and a pass back.
-pub(super) fn parse(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
+pub(super) fn parse(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let mut lines: Vec<(usize, [f64; 3])> = Vec::new();
     for (at, line) in text.lines().enumerate() {
         let line = line.split('#').next().unwrap_or_default().trim();
@@ -28,11 +28,14 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
             line.split_whitespace().map_while(|word| word.parse().ok()).collect();
         let place = Location { file: path.into(), line: at + 1, column: 1 };
         let [nominal, forward, reverse] = numbers[..] else {
-            return Err(BadInput::new(place, "is not three numbers: nominal forward reverse")
-                .with_help("LinuxCNC stops at such a line in silence: correct or delete it"));
+            return Err(InputFileError::new(
+                place,
+                "is not three numbers: nominal forward reverse",
+            )
+            .with_help("LinuxCNC stops at such a line in silence: correct or delete it"));
         };
         if lines.last().is_some_and(|(_, before)| nominal <= before[0]) {
-            return Err(BadInput::new(
+            return Err(InputFileError::new(
                 place,
                 format!("the nominal position {nominal} does not rise"),
             ));
@@ -41,7 +44,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
     }
     if lines.len() < 2 {
         let rule = "has fewer than two lines of nominal, forward and reverse";
-        return Err(BadInput::new(Location::start_of_file(path), rule));
+        return Err(InputFileError::new(Location::start_of_file(path), rule));
     }
     let sum = |of: fn(&[f64; 3]) -> f64| lines.iter().map(|(_, line)| of(line).abs()).sum::<f64>();
     let is_actual = sum(|line| line[1] - line[0]) < sum(|line| line[1]);

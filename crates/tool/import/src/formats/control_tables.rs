@@ -9,7 +9,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
 use crate::{column_meaning::ColumnMeaning, grid::Row, layout::SourceTable};
@@ -37,7 +37,7 @@ fn parse_assignment(line: &str) -> Option<(&str, Vec<&str>, f64)> {
 }
 
 /// Reads the encoder table of one axis.
-pub(super) fn parse_siemens(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
+pub(super) fn parse_siemens(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let place = |line: usize| Location { file: path.into(), line, column: 1 };
     let mut points: BTreeMap<u32, (usize, f64)> = BTreeMap::new();
     let mut of = BTreeMap::new();
@@ -48,7 +48,7 @@ pub(super) fn parse_siemens(text: &str, path: &Path) -> Result<SourceTable, BadI
             continue;
         }
         let at = at + 1;
-        let bad = |rule: &str| BadInput::new(place(at), rule);
+        let bad = |rule: &str| InputFileError::new(place(at), rule);
         let (suffix, inside, value) =
             parse_assignment(line).ok_or_else(|| bad("is not $AA_ENC_COMP…[…]=number"))?;
         let (encoder, axis, index) = match (suffix, &inside[..]) {
@@ -75,16 +75,17 @@ pub(super) fn parse_siemens(text: &str, path: &Path) -> Result<SourceTable, BadI
     }
     let get = |what: &str| {
         of.get(what).copied().ok_or_else(|| {
-            BadInput::new(Location::start_of_file(path), format!("{EEC_VARIABLE}{what} is missing"))
-                .with_help(
-                    "the table needs _STEP and _MIN: without them its points have no positions",
-                )
+            InputFileError::new(
+                Location::start_of_file(path),
+                format!("{EEC_VARIABLE}{what} is missing"),
+            )
+            .with_help("the table needs _STEP and _MIN: without them its points have no positions")
         })
     };
     let (step, min) = (get("_STEP")?, get("_MIN")?);
     if points.len() < 2 || step <= 0.0 {
         let rule = "has fewer than two points, or a step that is not above 0";
-        return Err(BadInput::new(Location::start_of_file(path), rule));
+        return Err(InputFileError::new(Location::start_of_file(path), rule));
     }
     // Positions as they are written: a product has noise far below their decimals.
     let position = |index: u32| ((min + f64::from(index) * step) * 1e9).round() / 1e9;
@@ -109,7 +110,7 @@ pub(super) fn parse_siemens(text: &str, path: &Path) -> Result<SourceTable, BadI
 }
 
 /// Reads a `.COM` table: a pass there, and where it has `BACKLASH` a pass back.
-pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
+pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let place = |line: usize| Location { file: path.into(), line, column: 1 };
     let mut lines = text
         .lines()
@@ -120,18 +121,18 @@ pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, B
     let unit = match head.to_uppercase().rsplit(' ').next() {
         Some("MM") => "mm",
         Some("INCH") => "inch",
-        _ => return Err(BadInput::new(place(at), "does not end with MM or INCH")),
+        _ => return Err(InputFileError::new(place(at), "does not end with MM or INCH")),
     };
     let (head_line, names) = lines.next().unwrap_or_default();
     let names = names.to_uppercase();
     let names: Vec<&str> = names.split_whitespace().collect();
     let ["NR", "AXISPOS", columns @ ..] = &names[..] else {
-        return Err(BadInput::new(place(head_line), "does not begin with NR AXISPOS"));
+        return Err(InputFileError::new(place(head_line), "does not begin with NR AXISPOS"));
     };
     let axes: Vec<(usize, &str)> =
         columns.iter().copied().enumerate().filter(|(_, column)| *column != "BACKLASH").collect();
     if let Some((_, other)) = axes.iter().find(|(_, axis)| !["X", "Y", "Z"].contains(axis)) {
-        return Err(BadInput::new(
+        return Err(InputFileError::new(
             place(head_line),
             format!("has a column {other}: X, Y and Z are read"),
         ));
@@ -150,12 +151,12 @@ pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, B
             line.split_whitespace().map_while(|word| word.parse().ok()).collect();
         if numbers.len() != columns.len() + 2 {
             let rule = format!("is not an entry of {} numbers", columns.len() + 2);
-            return Err(BadInput::new(place(at), rule));
+            return Err(InputFileError::new(place(at), rule));
         }
         entries.push((at, numbers[1..].to_vec()));
     }
     if entries.len() < 2 {
-        return Err(BadInput::new(place(head_line), "has fewer than two entries"));
+        return Err(InputFileError::new(place(head_line), "has fewer than two entries"));
     }
     let row = |line: usize, entry: &[f64], way: f64| {
         let values = axes.iter().map(|(at, name)| match backlash {

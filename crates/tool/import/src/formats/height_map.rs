@@ -8,10 +8,10 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
-use crate::{grid::Row, layout::SourceTable, unit::round_significant};
+use crate::{grid::Row, layout::SourceTable, unit::round_to_significant_digits};
 
 const FLAT_SURFACE_NOTE: &str =
     "the surface counts as flat: a point that is high by h is an error of −h in z";
@@ -38,9 +38,9 @@ struct HeightGrid {
 }
 
 /// Reads a map of RepRapFirmware.
-pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
+pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let bad = |line: usize, rule: &str| {
-        BadInput::new(Location { file: path.into(), line, column: 1 }, rule.to_string())
+        InputFileError::new(Location { file: path.into(), line, column: 1 }, rule.to_string())
     };
     let mut lines = text.lines().enumerate().map(|(at, line)| (at + 1, line)).skip(1);
     let (_, names) =
@@ -49,7 +49,7 @@ pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, BadIn
     let names: Vec<String> =
         names.split(',').map(|name| name.trim().to_lowercase().replace('_', "")).collect();
     let values: Vec<&str> = values.split(',').map(str::trim).collect();
-    let number_of = |keys: &[&str]| -> Result<f64, BadInput> {
+    let number_of = |keys: &[&str]| -> Result<f64, InputFileError> {
         let found = names.iter().position(|name| keys.contains(&name.as_str()));
         let value =
             found.and_then(|column| values.get(column)).and_then(|text| text.parse::<f64>().ok());
@@ -79,10 +79,10 @@ pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, BadIn
 }
 
 /// Reads the bed mesh of Klipper: the only one, or `default`.
-pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, BadInput> {
+pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let lines: Vec<(usize, &str)> = unprefixed_lines(text).collect();
     let bad = |line: usize, rule: String| {
-        BadInput::new(Location { file: path.into(), line, column: 1 }, rule)
+        InputFileError::new(Location { file: path.into(), line, column: 1 }, rule)
     };
     let starts: Vec<usize> =
         (0..lines.len()).filter(|at| lines[*at].1.trim().starts_with("[bed_mesh ")).collect();
@@ -101,7 +101,7 @@ pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, BadI
         .copied()
         .take_while(|(_, line)| !line.trim().starts_with('['))
         .collect();
-    let number_of = |key: &str| -> Result<f64, BadInput> {
+    let number_of = |key: &str| -> Result<f64, InputFileError> {
         let found = section.iter().find_map(|(_, line)| {
             let (name, value) = line.split_once('=').or_else(|| line.split_once(':'))?;
             (name.trim() == key).then(|| value.trim().parse::<f64>().ok()).flatten()
@@ -136,9 +136,9 @@ fn build_surface_table(
     rows: &[(usize, Vec<&str>)],
     is_unprobed: impl Fn(&str) -> bool,
     path: &Path,
-) -> Result<SourceTable, BadInput> {
+) -> Result<SourceTable, InputFileError> {
     let bad = |line: usize, rule: String| {
-        BadInput::new(Location { file: path.into(), line, column: 1 }, rule)
+        InputFileError::new(Location { file: path.into(), line, column: 1 }, rule)
     };
     if rows.len() != grid.count[1] || rows.is_empty() {
         let rule =
@@ -165,7 +165,7 @@ fn build_surface_table(
                 .filter(|value: &f64| value.is_finite())
                 .ok_or_else(|| bad(*line, format!("\"{cell}\" is no height in mm")))?;
             let place = |axis: usize, at: usize| {
-                round_significant(grid.min_mm[axis] + at as f64 * grid.step_mm[axis])
+                round_to_significant_digits(grid.min_mm[axis] + at as f64 * grid.step_mm[axis])
             };
             out.push(Row {
                 line: *line,

@@ -11,14 +11,14 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
 use crate::{
-    answers::{Answers, ImportError, Question, Topic},
+    answers::{Answers, ImportError, Question, QuestionTopic},
     grid::Row,
     layout::SourceTable,
-    unit::round_significant,
+    unit::round_to_significant_digits,
 };
 
 const FLAT_SURFACE_NOTE: &str = "the surface counts as flat, heights from the first point: a point that is high by h is an error of −h in z";
@@ -104,7 +104,8 @@ pub(super) fn parse_grbl(
     for (at, line) in text.lines().enumerate().filter(|(_, line)| line.contains("[PRB:")) {
         let place = Location { file: path.into(), line: at + 1, column: 1 };
         let touch = parse_grbl_line(line).ok_or_else(|| {
-            BadInput::new(place, "is not [PRB:x,y,z:1]").with_help("delete the line, or correct it")
+            InputFileError::new(place, "is not [PRB:x,y,z:1]")
+                .with_help("delete the line, or correct it")
         })?;
         touches.push((at + 1, touch));
     }
@@ -132,7 +133,7 @@ fn require_unit(answers: &Answers, text: &str, path: &Path) -> Result<String, Im
         ImportError::Open(vec![Question {
             place: Location::start_of_file(path),
             text: text.into(),
-            topic: Topic::Unit(UNIT_COLUMN.into()),
+            topic: QuestionTopic::Unit(UNIT_COLUMN.into()),
             choices: vec!["mm".into(), "inch".into()],
             is_open: false,
         }])
@@ -148,7 +149,7 @@ fn build_surface_table(
     let there: Vec<(usize, [f64; 3])> =
         touches.iter().filter_map(|(line, touch)| Some((*line, (*touch)?))).collect();
     let [(first, [.., zero]), _, ..] = there[..] else {
-        return Err(BadInput::new(
+        return Err(InputFileError::new(
             Location::start_of_file(path),
             "has fewer than two points that were touched",
         )
@@ -156,7 +157,7 @@ fn build_surface_table(
     };
     // A touch scatters: heights that are all the same were commanded.
     if there.iter().all(|(_, [.., z])| *z == zero) {
-        return Err(BadInput::new(
+        return Err(InputFileError::new(
             Location { file: path.into(), line: first, column: 1 },
             "has the same z at every point: it was probed in X or Y, and the side that was touched is not stated",
         )
@@ -174,7 +175,11 @@ fn build_surface_table(
     let place = Location { file: path.into(), line: first, column: 1 };
     let row = |(line, [x, y, z]): &(usize, [f64; 3])| Row {
         line: *line,
-        cells: vec![number_cell(*x), number_cell(*y), number_cell(round_significant(zero - z))],
+        cells: vec![
+            number_cell(*x),
+            number_cell(*y),
+            number_cell(round_to_significant_digits(zero - z)),
+        ],
     };
     Ok(SourceTable {
         columns: vec![

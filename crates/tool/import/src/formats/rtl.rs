@@ -8,11 +8,11 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
 use crate::{
-    answers::{Answers, ImportError, Question, Topic},
+    answers::{Answers, ImportError, Question, QuestionTopic},
     column_meaning::ColumnMeaning,
     grid::Row,
     layout::SourceTable,
@@ -36,7 +36,7 @@ pub(super) fn parse(
     path: &Path,
 ) -> Result<SourceTable, ImportError> {
     let place = |line: usize| Location { file: path.into(), line, column: 1 };
-    let bad = |line: usize, rule: String| ImportError::from(BadInput::new(place(line), rule));
+    let bad = |line: usize, rule: String| ImportError::from(InputFileError::new(place(line), rule));
     let (mut targets, mut readings) = (Vec::new(), Vec::new());
     let mut stated = None;
     let (mut first_target, mut first_reading) = (1, 1);
@@ -176,7 +176,7 @@ fn determine_run_directions(
         return Err(ImportError::Open(vec![Question {
             place: place.clone(),
             text: "all runs are written in one order: did every second one go back?".into(),
-            topic: Topic::Runs,
+            topic: QuestionTopic::Runs,
             choices: vec!["there-and-back".into(), "one-way".into()],
             is_open: false,
         }]));

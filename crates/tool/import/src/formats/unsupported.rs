@@ -10,13 +10,13 @@
 
 use std::path::Path;
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 /// Words in the head of a log of a probing cycle.
 const CYCLE_LOG_TITLES: [&str; 2] = ["probing cycle", "antastzyklus"];
 
 /// Returns why `path` with `bytes` is not read, where it is a file of this kind.
-pub(crate) fn unsupported_format_error(bytes: &[u8], path: &Path) -> Option<BadInput> {
+pub(crate) fn unsupported_format_error(bytes: &[u8], path: &Path) -> Option<InputFileError> {
     let ending = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).to_lowercase();
     let is_xml = head.trim_start_matches('\u{feff}').trim_start().starts_with("<?xml");
@@ -51,19 +51,19 @@ pub(crate) fn unsupported_format_error(bytes: &[u8], path: &Path) -> Option<BadI
         ),
         _ => return None,
     };
-    Some(BadInput::new(Location::start_of_file(path), rule).with_help(help))
+    Some(InputFileError::new(Location::start_of_file(path), rule).with_help(help))
 }
 
 /// Returns why a file without a table is not read, where its head is that of a log of a probing cycle. A table below
 /// such a title is read, so this is called only where none was found.
-pub(crate) fn detect_cycle_log(bytes: &[u8], path: &Path) -> Option<BadInput> {
+pub(crate) fn detect_cycle_log(bytes: &[u8], path: &Path) -> Option<InputFileError> {
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).to_lowercase();
     CYCLE_LOG_TITLES.iter().any(|title| head.contains(title)).then(|| cycle_log_error(path))
 }
 
-fn cycle_log_error(path: &Path) -> BadInput {
+fn cycle_log_error(path: &Path) -> InputFileError {
     let rule = "is the log of a single probing cycle, and no table";
-    BadInput::new(Location::start_of_file(path), rule).with_help(
+    InputFileError::new(Location::start_of_file(path), rule).with_help(
         "let the control print a line for each reading (HEIDENHAIN: FN16, SINUMERIK: columns of the log): position and error, or target and actual position",
     )
 }

@@ -2,7 +2,7 @@
 
 use super::ColumnDraft;
 use crate::{
-    answers::{Question, Topic},
+    answers::{Question, QuestionTopic},
     column_meaning::{ColumnMeaning, TargetColumn},
 };
 
@@ -11,7 +11,7 @@ pub(super) fn assign_axes(drafts: &mut [ColumnDraft<'_>], questions: &mut Vec<Qu
     let ask = |draft: &ColumnDraft<'_>, text: &str, choices: &[&str]| Question {
         place: draft.source.place.clone(),
         text: format!("{} {text}", draft.source.header),
-        topic: Topic::Column(draft.source.header.clone()),
+        topic: QuestionTopic::Column(draft.source.header.clone()),
         choices: choices.iter().map(ToString::to_string).collect(),
         is_open: true,
     };

@@ -1,6 +1,6 @@
 //! Columns that would have one name.
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 use trueup_output::escape::shell_quote;
 
 use super::{ColumnMapping, ColumnRole, target_column};
@@ -10,7 +10,7 @@ use crate::layout::SourceTable;
 pub(super) fn disambiguate_names(
     plans: &mut [ColumnMapping],
     layout: &SourceTable,
-) -> Result<(), BadInput> {
+) -> Result<(), InputFileError> {
     for at in 0..plans.len() {
         let Some(name) = target_column(&plans[at].role).map(|target| target.name.clone()) else {
             continue;
@@ -31,7 +31,7 @@ pub(super) fn disambiguate_names(
             let first = first.map_or("", |plan| plan.header.as_str());
             let rule = format!("{first} and {} would both be {name}", plans[at].header);
             let flag = shell_quote(&format!("{}=-", plans[at].header));
-            return Err(BadInput::new(layout.columns[at].place.clone(), rule)
+            return Err(InputFileError::new(layout.columns[at].place.clone(), rule)
                 .with_help(format!("leave one out, or name it: --column {flag}")));
         };
         let stem =

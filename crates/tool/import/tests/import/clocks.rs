@@ -1,8 +1,8 @@
 //! Times of day, dates, Unix time, stopwatches; midnight and summer time.
 
-use crate::{Topic, bad, open, read, unit, values};
+use crate::{QuestionTopic, bad, open, read, unit, values};
 
-fn seconds(cells: &[&str], given: &[(Topic, &str)]) -> Vec<f64> {
+fn seconds(cells: &[&str], given: &[(QuestionTopic, &str)]) -> Vec<f64> {
     values(&read(table(cells), given), "time_s")
 }
 
@@ -49,13 +49,15 @@ fn a_stopwatch_is_distinguished_from_a_clock_or_asked() {
 #[test]
 fn a_clock_that_steps_an_hour_is_asked_about_and_one_that_runs_back_is_refused() {
     let back = ["25.10.2026 02:50", "25.10.2026 02:55", "25.10.2026 02:00", "25.10.2026 02:05"];
-    assert_eq!(open(table(&back), &[]), [Topic::SummerTime]);
-    assert_eq!(seconds(&back, &[(Topic::SummerTime, "yes")]), [0.0, 300.0, 600.0, 900.0]);
-    assert!(bad(table(&back), &[(Topic::SummerTime, "no")]).contains("4:1: the time runs back"));
+    assert_eq!(open(table(&back), &[]), [QuestionTopic::SummerTime]);
+    assert_eq!(seconds(&back, &[(QuestionTopic::SummerTime, "yes")]), [0.0, 300.0, 600.0, 900.0]);
+    assert!(
+        bad(table(&back), &[(QuestionTopic::SummerTime, "no")]).contains("4:1: the time runs back")
+    );
     let ahead = ["29.03.2026 01:50", "29.03.2026 01:55", "29.03.2026 03:00", "29.03.2026 03:05"];
-    assert_eq!(open(table(&ahead), &[]), [Topic::SummerTime]);
-    assert_eq!(seconds(&ahead, &[(Topic::SummerTime, "yes")]), [0.0, 300.0, 600.0, 900.0]);
-    assert_eq!(seconds(&ahead, &[(Topic::SummerTime, "no")]), [0.0, 300.0, 4200.0, 4500.0]);
+    assert_eq!(open(table(&ahead), &[]), [QuestionTopic::SummerTime]);
+    assert_eq!(seconds(&ahead, &[(QuestionTopic::SummerTime, "yes")]), [0.0, 300.0, 600.0, 900.0]);
+    assert_eq!(seconds(&ahead, &[(QuestionTopic::SummerTime, "no")]), [0.0, 300.0, 4200.0, 4500.0]);
     assert!(
         bad(table(&["08:15:10", "08:15:20", "08:15:15"]), &[]).contains("4:1: the time runs back")
     );
@@ -79,6 +81,6 @@ fn what_is_no_time_is_named() {
 #[test]
 fn summer_time_is_taken_out_of_plain_seconds_where_the_user_says_so() {
     let text = "time_s,flow\n0,1\n60,2\n120,3\n-3420,4\n-3360,5\n";
-    let run = read(text, &[(Topic::SummerTime, "yes")]);
+    let run = read(text, &[(QuestionTopic::SummerTime, "yes")]);
     assert_eq!(values(&run, "time_s"), [0.0, 60.0, 120.0, 180.0, 240.0]);
 }

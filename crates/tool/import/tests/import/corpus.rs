@@ -5,14 +5,14 @@ use std::path::Path;
 
 use trueup_import::{ImportError, import};
 
-use crate::{Topic, answers, column, unit};
+use crate::{QuestionTopic, answers, column, unit};
 
 /// The result that is expected of a file.
 enum Fate {
     /// It is read as it is; the first line and the first row of the run file.
     Read(&'static str),
     /// It is read after this one answer.
-    OneAnswer((Topic, &'static str), &'static str),
+    OneAnswer((QuestionTopic, &'static str), &'static str),
     /// It is refused, with this form in its place.
     Refused(&'static str),
 }
@@ -196,7 +196,8 @@ fn instruments() -> Vec<File> {
 fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
     let (mut read, mut requested, mut refused) = (0, 0, 0);
     for (name, bytes, fate) in tables().into_iter().chain(instruments()) {
-        let import = |given: &[(Topic, &str)]| import(&bytes, Path::new(name), &answers(given));
+        let import =
+            |given: &[(QuestionTopic, &str)]| import(&bytes, Path::new(name), &answers(given));
         let starts = |run: &str, start: &str| assert!(run.starts_with(start), "{name}: {run}");
         match fate {
             Read(start) => {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_import::{Answers, Circle, ImportError, import};
 
-use crate::{Topic, answers, bad, column, open, read_as, unit, values};
+use crate::{QuestionTopic, answers, bad, column, open, read_as, unit, values};
 
 #[test]
 fn a_compensation_file_of_linuxcnc_is_errors_there_and_back() {
@@ -158,9 +158,9 @@ fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
     else {
         panic!("the way back is not stated")
     };
-    assert_eq!(questions[0].topic, Topic::Runs);
+    assert_eq!(questions[0].topic, QuestionTopic::Runs);
     let with = |runs| {
-        let all = [&given[..], &[(Topic::Runs, runs)]].concat();
+        let all = [&given[..], &[(QuestionTopic::Runs, runs)]].concat();
         values(&read_as("x.rtl", text.as_bytes(), &all), "dir_x")
     };
     assert_eq!(with("there-and-back"), [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]);

@@ -11,11 +11,11 @@ mod workbooks;
 
 use std::path::Path;
 
-use trueup_import::{Answers, ImportError, ImportedRun, Topic, import};
+use trueup_import::{Answers, ImportError, ImportedRun, QuestionTopic, import};
 use trueup_machine::RunFile;
 
 /// Returns what the user has stated.
-fn answers(given: &[(Topic, &str)]) -> Answers {
+fn answers(given: &[(QuestionTopic, &str)]) -> Answers {
     let mut answers = Answers::default();
     for (topic, value) in given {
         answers.record_answer(topic, value).expect("an answer");
@@ -23,25 +23,25 @@ fn answers(given: &[(Topic, &str)]) -> Answers {
     answers
 }
 
-fn column(name: &str) -> Topic {
-    Topic::Column(name.into())
+fn column(name: &str) -> QuestionTopic {
+    QuestionTopic::Column(name.into())
 }
 
-fn unit(name: &str) -> Topic {
-    Topic::Unit(name.into())
+fn unit(name: &str) -> QuestionTopic {
+    QuestionTopic::Unit(name.into())
 }
 
 /// Returns the file, read with what the user has stated.
-fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> ImportedRun {
+fn read(text: impl AsRef<[u8]>, given: &[(QuestionTopic, &str)]) -> ImportedRun {
     read_as("table.csv", text.as_ref(), given)
 }
 
-fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> ImportedRun {
+fn read_as(name: &str, bytes: &[u8], given: &[(QuestionTopic, &str)]) -> ImportedRun {
     import(bytes, Path::new(name), &answers(given)).unwrap_or_else(|refused| panic!("{refused:?}"))
 }
 
 /// Returns the topics that are open.
-fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
+fn open(text: impl AsRef<[u8]>, given: &[(QuestionTopic, &str)]) -> Vec<QuestionTopic> {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
         Err(ImportError::Open(questions)) => {
             questions.into_iter().map(|question| question.topic).collect()
@@ -51,7 +51,7 @@ fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
 }
 
 /// Returns what is wrong with the file: `line:column: rule`.
-fn bad(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> String {
+fn bad(text: impl AsRef<[u8]>, given: &[(QuestionTopic, &str)]) -> String {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
         Err(ImportError::Bad(error)) => {
             error.to_string().trim_start_matches("table.csv:").to_string()

@@ -4,19 +4,19 @@ use std::path::Path;
 
 use trueup_import::{Answers, ImportError, import, is_foreign_format};
 
-use crate::{Topic, bad, column, open, read, unit, values};
+use crate::{QuestionTopic, bad, column, open, read, unit, values};
 
 #[test]
 fn what_may_be_a_thousand_or_a_decimal_is_asked() {
     let text = "Zeit [s];Weg X [mm]\n1;1.234\n2;2.345\n";
-    assert_eq!(open(text, &[]), [Topic::Decimal]);
-    assert_eq!(values(&read(text, &[(Topic::Decimal, "comma")]), "x_mm"), [1234.0, 2345.0]);
-    assert_eq!(values(&read(text, &[(Topic::Decimal, "point")]), "x_mm"), [1.234, 2.345]);
+    assert_eq!(open(text, &[]), [QuestionTopic::Decimal]);
+    assert_eq!(values(&read(text, &[(QuestionTopic::Decimal, "comma")]), "x_mm"), [1234.0, 2345.0]);
+    assert_eq!(values(&read(text, &[(QuestionTopic::Decimal, "point")]), "x_mm"), [1.234, 2.345]);
     // One number that is sure settles it, wherever it stands.
     assert_eq!(values(&read(text.replace("2;2", "2,5;2"), &[]), "x_mm"), [1234.0, 2345.0]);
     assert_eq!(values(&read(text.replace("2;2", "2.5;2"), &[]), "x_mm"), [1.234, 2.345]);
     assert_eq!(values(&read(text.replace("2.345", "0.345"), &[]), "x_mm"), [1.234, 0.345]);
-    assert_eq!(open(text.replace('.', ","), &[]), [Topic::Decimal]);
+    assert_eq!(open(text.replace('.', ","), &[]), [QuestionTopic::Decimal]);
     // A comma between columns leaves it no other reading.
     assert_eq!(values(&read(text.replace(';', ","), &[]), "x_mm"), [1.234, 2.345]);
 }
@@ -25,16 +25,16 @@ fn what_may_be_a_thousand_or_a_decimal_is_asked() {
 fn an_order_of_dates_is_asked_only_where_it_matters() {
     let table =
         |dates: [&str; 3]| format!("Datum;flow\n{};1\n{};2\n{};3\n", dates[0], dates[1], dates[2]);
-    let days = |text: &str, given: &[(Topic, &str)]| {
+    let days = |text: &str, given: &[(QuestionTopic, &str)]| {
         values(&read(text, given), "time_s")
             .iter()
             .map(|value| value / 86_400.0)
             .collect::<Vec<_>>()
     };
     let text = table(["03.04.2026 08:00", "04.04.2026 08:00", "05.04.2026 08:00"]);
-    assert_eq!(open(&text, &[]), [Topic::Date]);
-    assert_eq!(days(&text, &[(Topic::Date, "dmy")]), [0.0, 1.0, 2.0]);
-    assert_eq!(days(&text, &[(Topic::Date, "mdy")]), [0.0, 31.0, 61.0]);
+    assert_eq!(open(&text, &[]), [QuestionTopic::Date]);
+    assert_eq!(days(&text, &[(QuestionTopic::Date, "dmy")]), [0.0, 1.0, 2.0]);
+    assert_eq!(days(&text, &[(QuestionTopic::Date, "mdy")]), [0.0, 31.0, 61.0]);
     // 13 is no month.
     assert_eq!(days(&table(["11.04.2026", "12.04.2026", "13.04.2026"]), &[]), [0.0, 1.0, 2.0]);
     assert_eq!(days(&table(["04/11/2026", "04/12/2026", "04/13/2026"]), &[]), [0.0, 1.0, 2.0]);
@@ -48,7 +48,7 @@ fn an_order_of_dates_is_asked_only_where_it_matters() {
         ),
         [0.0, 60.0, 120.0]
     );
-    assert_eq!(open(table(["03.04.", "04.04.", "05.04."]), &[]), [Topic::Date]);
+    assert_eq!(open(table(["03.04.", "04.04.", "05.04."]), &[]), [QuestionTopic::Date]);
     assert!(
         bad(table(["31.04.2026", "31.04.2026", "31.04.2026"]), &[])
             .contains("Datum holds no dates")

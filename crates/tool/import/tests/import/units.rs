@@ -1,6 +1,6 @@
 //! Units in headers, in rows of units and behind values; none is guessed.
 
-use crate::{Topic, column, open, read, unit, values};
+use crate::{QuestionTopic, column, open, read, unit, values};
 
 #[test]
 fn each_unit_of_a_header_becomes_the_run_files() {
@@ -59,8 +59,8 @@ fn a_column_without_a_unit_is_asked_and_never_guessed() {
 #[test]
 fn volts_of_the_sensor_become_counts_by_the_inputs_scale() {
     let text = "Zeit [s];Sensor [mV]\n0;1540\n1;1541\n";
-    assert_eq!(open(text, &[]), [Topic::CountsPerV]);
-    let imported = read(text, &[(Topic::CountsPerV, "2764.8")]);
+    assert_eq!(open(text, &[]), [QuestionTopic::CountsPerV]);
+    let imported = read(text, &[(QuestionTopic::CountsPerV, "2764.8")]);
     assert_eq!(values(&imported, "sensor_counts"), [4257.792, 4260.5568]);
 }
 

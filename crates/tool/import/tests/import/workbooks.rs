@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_import::{ImportError, import};
 
-use crate::{Topic, answers, column, read_as, values};
+use crate::{QuestionTopic, answers, column, read_as, values};
 
 /// Returns a zip archive of these parts, not compressed.
 fn zip(parts: &[(&str, &str)]) -> Vec<u8> {
@@ -160,9 +160,9 @@ fn the_only_sheet_with_a_table_is_taken_and_of_two_one_is_asked_for() {
     else {
         panic!("two tables")
     };
-    assert_eq!((&questions[0].topic, questions[0].choices.len()), (&Topic::Sheet, 2));
+    assert_eq!((&questions[0].topic, questions[0].choices.len()), (&QuestionTopic::Sheet, 2));
     assert_eq!(questions[0].flag(), "--sheet Monday (or Tuesday)");
-    let given = [given[0].clone(), (Topic::Sheet, "tuesday")];
+    let given = [given[0].clone(), (QuestionTopic::Sheet, "tuesday")];
     assert_eq!(read_as("r.xlsx", &two, &given).rows, 3);
 }
 

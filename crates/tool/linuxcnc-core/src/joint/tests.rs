@@ -195,7 +195,7 @@ fn moveoff_reaches_a_goal_above_it_from_rest_also_while_the_offset_is_held() {
             least = least.min(moveoff.now_nm);
         }
         assert!(
-            (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * DITHER_NM,
+            (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * DITHER_AMPLITUDE_NM,
             "{goal} {}",
             moveoff.now_nm
         );

@@ -2,7 +2,7 @@
 
 use trueup_core::units::AdcCode;
 use trueup_machine::{
-    BadInput, Machine, compile,
+    InputFileError, Machine, compile,
     file::LinearAxis,
     inputs::ADC_REFERENCE_VOLTS,
     model::{max_over_compensation_um, required_columns},
@@ -35,7 +35,7 @@ impl BoardlessConfig {
     ///
     /// # Errors
     /// It makes no calibration.
-    pub fn from_machine(machine: &Machine) -> Result<Self, BadInput> {
+    pub fn from_machine(machine: &Machine) -> Result<Self, InputFileError> {
         let compiled = compile(machine)?;
         let mut inputs = Vec::new();
         let of_file = machine.inputs.as_ref();

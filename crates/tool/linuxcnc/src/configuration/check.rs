@@ -1,6 +1,6 @@
 //! Finds the obstacles to offsets in a configuration, and says what they will cost or reach.
 
-use trueup_machine::BadInput;
+use trueup_machine::InputFileError;
 
 use super::{
     OffsetEntryPoint,
@@ -15,12 +15,12 @@ use super::{
     },
     wiring,
 };
-use crate::ini::Ini;
+use crate::ini::IniSettings;
 
 /// Servo periods that are supported, in ns.
-const SUPPORTED_PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
+const SUPPORTED_SERVO_PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
 /// Without a board a servo period may differ by this from one that is supported, in ns.
-const PERIOD_TOLERANCE_NS: f64 = 1e3;
+const SERVO_PERIOD_TOLERANCE_NS: f64 = 1e3;
 /// `OFFSET_AV_RATIO` may be so large.
 const MAX_OFFSET_AV_RATIO: f64 = 0.9;
 const AXIS_NAMES: [&str; 3] = ["X", "Y", "Z"];
@@ -115,7 +115,7 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
 
 /// LinuxCNC reads the first section of a name alone: lines of a second one have no effect.
 fn check_duplicate_section(ini: &IniLines, section: &str, report: &mut CheckReport) {
-    if let Some(place) = ini.duplicate_header(section) {
+    if let Some(place) = ini.find_duplicate_section(section) {
         report.findings.push(ConfigurationFinding::warning(
             place,
             format!("a second [{section}]: LinuxCNC reads the first one alone"),
@@ -139,8 +139,8 @@ fn check_hal_files(ini: &IniLines, hal: &HalFiles, report: &mut CheckReport) {
 }
 
 /// Units and servo period.
-fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> {
-    let base = match Ini::parse(&ini.to_text()) {
+fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<IniSettings> {
+    let base = match IniSettings::parse(&ini.to_text()) {
         Ok(base) => base,
         Err(error) => {
             let place = ini.line_location(error.place.0, error.place.1);
@@ -150,7 +150,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
     };
     let period_ns = base.cycle_s * 1e9;
     // A billionth of rounding.
-    if !SUPPORTED_PERIODS_NS.contains(&period_ns.round()) {
+    if !SUPPORTED_SERVO_PERIODS_NS.contains(&period_ns.round()) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
         report.findings.push(ConfigurationFinding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
@@ -162,7 +162,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
 }
 
 /// The node's tick is a millisecond, and a servo period is half of one or some.
-fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
+fn check_servo_period(ini: &IniLines, base: &IniSettings, report: &mut CheckReport) {
     let us = (base.cycle_s * 1e6).round();
     if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
@@ -179,7 +179,7 @@ fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
     let Some((thread_ns, place)) = thread.filter(|(ns, _)| *ns > 0.0) else { return };
     let period_ns = base.cycle_s * 1e9;
     let made_ns = (period_ns / thread_ns).round().max(1.0) * thread_ns;
-    if (made_ns - period_ns).abs() > PERIOD_TOLERANCE_NS {
+    if (made_ns - period_ns).abs() > SERVO_PERIOD_TOLERANCE_NS {
         report.findings.push(ConfigurationFinding::warning(
             place,
             format!(
@@ -236,7 +236,7 @@ fn check_double_compensation(
 /// Headroom of a joint.
 fn check_joint_headroom(
     joint: &Joint,
-    base: &Ini,
+    base: &IniSettings,
     demand: &OffsetRequirements,
     report: &mut CheckReport,
 ) {
@@ -244,11 +244,11 @@ fn check_joint_headroom(
     let acceleration = &joint.acceleration;
     let share = acceleration.relative_headroom() * PERCENT;
     let slew_mm_per_s = demand.slew_um_per_s / UM_PER_MM;
-    let mm_per_s = joint.max_offset_mm_per_s(slew_mm_per_s, base.mm_per_unit);
+    let mm_per_s = joint.max_offset_rate_mm_per_s(slew_mm_per_s, base.mm_per_unit);
     let time_s = rest_to_rest_time_s(
         REFERENCE_REVERSAL_UM / UM_PER_MM,
         mm_per_s,
-        acceleration.available() * base.mm_per_unit,
+        acceleration.available_for_offset() * base.mm_per_unit,
     );
     let line = |key: &str, headroom: &Headroom| {
         format!(
@@ -260,14 +260,14 @@ fn check_joint_headroom(
         "if the drive has more, state it: {}; if not, lower MAX_ACCELERATION of joint and axis",
         line("STEPGEN_MAXACCEL", acceleration)
     );
-    if acceleration.stated.is_some() && acceleration.available() <= 0.0 {
+    if acceleration.stated.is_some() && acceleration.available_for_offset() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXACCEL leaves nothing above MAX_ACCELERATION: an offset cannot move"
         );
         report.findings.push(ConfigurationFinding::error(joint.place.clone(), what, mend));
         return;
     }
-    if joint.velocity.stated.is_some() && joint.velocity.available() <= 0.0 {
+    if joint.velocity.stated.is_some() && joint.velocity.available_for_offset() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXVEL leaves nothing above MAX_VELOCITY: an offset cannot move"
         );
@@ -311,7 +311,7 @@ fn check_joint_headroom(
 fn check_external_offsets(
     ini: &IniLines,
     joints: &[Joint],
-    base: &Ini,
+    base: &IniSettings,
     demand: &OffsetRequirements,
     report: &mut CheckReport,
 ) {
@@ -333,7 +333,7 @@ fn check_external_offsets(
             report.findings.push(ConfigurationFinding::error(place, what, "state it"));
             continue;
         };
-        if ini.section_header(&section).is_none() {
+        if ini.find_section_header(&section).is_none() {
             let what = format!("[{section}] is missing: OFFSET_AV_RATIO belongs there");
             report.findings.push(ConfigurationFinding::error(
                 place,
@@ -384,7 +384,7 @@ fn check_external_offsets(
 pub fn check_joint_limits(
     ini: &IniLines,
     demand: &OffsetRequirements,
-) -> Result<Vec<ConfigurationFinding>, BadInput> {
+) -> Result<Vec<ConfigurationFinding>, InputFileError> {
     let (mut report, joints) = (CheckReport::default(), read_joints(ini)?);
     if let Some(base) = check_base_settings(ini, &mut report) {
         check_soft_limits(ini, &joints, &base, demand, &mut report);
@@ -396,7 +396,7 @@ pub fn check_joint_limits(
 fn check_soft_limits(
     ini: &IniLines,
     joints: &[Joint],
-    base: &Ini,
+    base: &IniSettings,
     demand: &OffsetRequirements,
     report: &mut CheckReport,
 ) {

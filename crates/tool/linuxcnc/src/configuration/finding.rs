@@ -1,6 +1,6 @@
 //! A check's input and its findings: a place, the setting there, the remedy.
 
-use trueup_machine::{BadInput, Location, Machine};
+use trueup_machine::{InputFileError, Location, Machine};
 
 use super::{
     OffsetEntryPoint,
@@ -45,8 +45,8 @@ impl ConfigurationFinding {
 }
 
 /// A file that cannot be read is an error of the configuration too.
-impl From<BadInput> for ConfigurationFinding {
-    fn from(BadInput { place, rule, help, .. }: BadInput) -> Self {
+impl From<InputFileError> for ConfigurationFinding {
+    fn from(InputFileError { place, rule, help, .. }: InputFileError) -> Self {
         Self::error(place, rule, help.unwrap_or_default())
     }
 }

@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, path::PathBuf};
 
-use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
+use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
 
 use super::ini_lines::{IniLines, IniValue, expand_home, is_file};
 
@@ -52,7 +52,7 @@ impl HalFiles {
     ///
     /// # Errors
     /// A file is missing or cannot be read.
-    pub fn read(ini: &IniLines) -> Result<Self, BadInput> {
+    pub fn read(ini: &IniLines) -> Result<Self, InputFileError> {
         let mut all = Self::default();
         let users = |key| ini.values("HAL", key).into_iter().filter(|value| !value.is_ours);
         for value in users("HALFILE") {
@@ -63,7 +63,7 @@ impl HalFiles {
                 continue;
             }
             let path = find_hal_file(ini, name).ok_or_else(|| {
-                BadInput::new(
+                InputFileError::new(
                     value.place.clone(),
                     format!("HALFILE = {name}: there is no such file"),
                 )
@@ -186,8 +186,8 @@ fn append_commands(
     ini: &IniLines,
     path: &std::path::Path,
     depth: usize,
-) -> Result<(), BadInput> {
-    let text = bounded_read::read_text(path, MAX_FILE_BYTES)?;
+) -> Result<(), InputFileError> {
+    let text = bounded_read::read_text(path, MAX_MACHINE_FILE_BYTES)?;
     let mut lines = text.lines().enumerate();
     while let Some((index, line)) = lines.next() {
         let mut whole = line.trim_end().to_owned();
@@ -203,7 +203,7 @@ fn append_commands(
         {
             let found = find_hal_file(ini, name).filter(|_| depth < MAX_SOURCE_DEPTH);
             let found = found.ok_or_else(|| {
-                BadInput::new(place, format!("source {name}: there is no such file"))
+                InputFileError::new(place, format!("source {name}: there is no such file"))
             })?;
             append_commands(commands, ini, &found, depth + 1)?;
         } else {
@@ -282,7 +282,7 @@ pub(crate) mod tests {
     /// Returns a configuration in a folder that lives as long as it.
     pub(crate) fn configuration(
         files: &[(&str, &str)],
-    ) -> (tempfile::TempDir, IniLines, Result<HalFiles, BadInput>) {
+    ) -> (tempfile::TempDir, IniLines, Result<HalFiles, InputFileError>) {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, text) in files {
             std::fs::write(folder.path().join(name), text).expect("writes");

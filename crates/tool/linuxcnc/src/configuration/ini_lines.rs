@@ -11,7 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
+use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
 
 /// The first line of what setup has added.
 pub(crate) const SETUP_BLOCK_BEGIN: &str =
@@ -59,7 +59,7 @@ impl IniLines {
     ///
     /// # Errors
     /// A file cannot be read, or a line of setup's block is missing.
-    pub fn read(path: &Path) -> Result<Self, BadInput> {
+    pub fn read(path: &Path) -> Result<Self, InputFileError> {
         let mut lines = Vec::new();
         for line in read_lines(path)? {
             let Some(rest) = line.text.strip_prefix(INCLUDE_DIRECTIVE) else {
@@ -68,11 +68,11 @@ impl IniLines {
             };
             let name = rest.trim();
             if name.is_empty() {
-                return Err(BadInput::new(line.place, "#INCLUDE names no file"));
+                return Err(InputFileError::new(line.place, "#INCLUDE names no file"));
             }
             let included = parent_folder(path).join(expand_home(name));
             let read = read_lines(&included).map_err(|error| {
-                BadInput::new(line.place.clone(), format!("#INCLUDE {name}: {}", error.rule))
+                InputFileError::new(line.place.clone(), format!("#INCLUDE {name}: {}", error.rule))
                     .with_help("give the path of the file, or take the line out")
             })?;
             lines.extend(read);
@@ -130,13 +130,17 @@ impl IniLines {
     ///
     /// # Errors
     /// It is not a number.
-    pub fn number(&self, section: &str, key: &str) -> Result<Option<(f64, Location)>, BadInput> {
+    pub fn number(
+        &self,
+        section: &str,
+        key: &str,
+    ) -> Result<Option<(f64, Location)>, InputFileError> {
         let Some(value) = self.value(section, key) else { return Ok(None) };
         let text = value.without_comment();
         let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
         let Some(number) = number else {
             let rule = format!("[{section}]{key} = {text} is not a number");
-            return Err(BadInput::new(value.place, rule));
+            return Err(InputFileError::new(value.place, rule));
         };
         Ok(Some((number, value.place)))
     }
@@ -144,19 +148,19 @@ impl IniLines {
     /// Returns the place of a section's header; the start of the file if there is none.
     #[must_use]
     pub(crate) fn section_location(&self, section: &str) -> Location {
-        self.section_header(section).unwrap_or_else(|| Location::start_of_file(&self.path))
+        self.find_section_header(section).unwrap_or_else(|| Location::start_of_file(&self.path))
     }
 
     /// Returns the place of a section's header.
     #[must_use]
-    pub(crate) fn section_header(&self, section: &str) -> Option<Location> {
+    pub(crate) fn find_section_header(&self, section: &str) -> Option<Location> {
         let line = self.lines.iter().find(|line| parse_section_header(&line.text) == Some(section));
         line.map(|line| line.place.clone())
     }
 
     /// Returns a second section of a name whose first one counts alone.
     #[must_use]
-    pub(crate) fn duplicate_header(&self, section: &str) -> Option<Location> {
+    pub(crate) fn find_duplicate_section(&self, section: &str) -> Option<Location> {
         let same =
             self.lines.iter().filter(|line| parse_section_header(&line.text) == Some(section));
         same.skip(1).map(|line| line.place.clone()).next()
@@ -200,8 +204,8 @@ pub fn is_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|metadata| metadata.is_file())
 }
 
-fn read_lines(path: &Path) -> Result<Vec<IniLine>, BadInput> {
-    let text = bounded_read::read_text(path, MAX_FILE_BYTES)?;
+fn read_lines(path: &Path) -> Result<Vec<IniLine>, InputFileError> {
+    let text = bounded_read::read_text(path, MAX_MACHINE_FILE_BYTES)?;
     let mut lines = Vec::new();
     let mut begun: Option<Location> = None;
     for (index, text) in text.lines().enumerate() {
@@ -215,7 +219,7 @@ fn read_lines(path: &Path) -> Result<Vec<IniLine>, BadInput> {
         }
     }
     match begun {
-        Some(place) => Err(BadInput::new(place, format!("the line \"{SETUP_BLOCK_END}\" is missing after this one"))
+        Some(place) => Err(InputFileError::new(place, format!("the line \"{SETUP_BLOCK_END}\" is missing after this one"))
             .with_help("put it after the lines that setup has added, or restore the file from its backup, FILE.trueup-backup")),
         None => Ok(lines),
     }
@@ -244,7 +248,7 @@ fn parse_value(line: &IniLine, key: &str) -> Option<IniValue> {
 mod tests {
     use super::*;
 
-    fn read(files: &[(&str, &str)]) -> Result<(tempfile::TempDir, IniLines), BadInput> {
+    fn read(files: &[(&str, &str)]) -> Result<(tempfile::TempDir, IniLines), InputFileError> {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, text) in files {
             fs::write(folder.path().join(name), text).expect("writes");
@@ -263,7 +267,9 @@ mod tests {
         assert_eq!((z.place.line, z.place.file.ends_with("b.inc")), (1, true));
         let k = ini.value("B", "K").expect("included");
         assert_eq!((k.text.as_str(), k.place.line, k.place.column), ("v w", 3, 7));
-        assert!(ini.duplicate_header("A").is_some() && ini.duplicate_header("B").is_none());
+        assert!(
+            ini.find_duplicate_section("A").is_some() && ini.find_duplicate_section("B").is_none()
+        );
     }
 
     #[test]

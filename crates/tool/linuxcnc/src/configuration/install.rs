@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
+use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
 use trueup_store::calibration::validate_blob;
 
 use super::{
@@ -23,7 +23,7 @@ use super::{
     joints::{compute_offset_av_ratio, read_joints},
     wiring::{self, COMPONENT_HAL_FILE, GENERATED_FILE_HEADER, REALTIME_HAL_FILE},
 };
-use crate::ini::Ini;
+use crate::ini::IniSettings;
 
 /// Added to the name of a file for its copy.
 const BACKUP_SUFFIX: &str = ".trueup-backup";
@@ -47,7 +47,7 @@ pub fn prepare_setup(
     hal: &HalFiles,
     demand: &OffsetRequirements,
     bridge: &BridgeSettings,
-) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
+) -> Result<(CheckReport, Vec<FileChange>), InputFileError> {
     let mut report = check(ini, hal, demand);
     if let Some((place, _)) = find_manual_setup(ini, hal) {
         report.findings.push(ConfigurationFinding::error(
@@ -94,7 +94,7 @@ pub fn prepare_setup(
         blocks.insert_after(line, lines.to_vec());
     }
     if demand.entry == OffsetEntryPoint::Eoffset {
-        add_default_ratios(ini, demand, &mut blocks)?;
+        add_missing_av_ratios(ini, demand, &mut blocks)?;
     }
     let mut section = vec![format!("[{INI_SECTION}]"), format!("BY = {}", demand.entry.name())];
     section.extend(bridge.port.iter().map(|port| format!("PORT = {port}")));
@@ -113,7 +113,7 @@ pub fn prepare_setup(
         [(REALTIME_HAL_FILE, wiring.realtime), (COMPONENT_HAL_FILE, wiring.component)]
     {
         let path = ini.folder().join(name);
-        if !is_file(&path) || bounded_read::read_text(&path, MAX_FILE_BYTES)? != text {
+        if !is_file(&path) || bounded_read::read_text(&path, MAX_MACHINE_FILE_BYTES)? != text {
             changes.push(FileChange { path, content: Some(text.into_bytes()) });
         }
     }
@@ -128,7 +128,7 @@ pub fn prepare_setup(
 ///
 /// # Errors
 /// A file cannot be read.
-pub fn prepare_removal(ini: &IniLines) -> Result<Vec<FileChange>, BadInput> {
+pub fn prepare_removal(ini: &IniLines) -> Result<Vec<FileChange>, InputFileError> {
     let mut changes = InsertedBlocks::default().compute_changes(ini)?;
     for name in [REALTIME_HAL_FILE, COMPONENT_HAL_FILE] {
         let path = ini.folder().join(name);
@@ -154,10 +154,13 @@ fn absolute_path(ini: &IniLines, name: &str) -> PathBuf {
 fn calibration_change(
     ini: &IniLines,
     blob: Option<&Vec<u8>>,
-) -> Result<Option<FileChange>, BadInput> {
+) -> Result<Option<FileChange>, InputFileError> {
     let path = absolute_path(ini, CALIBRATION_FILE);
-    let before =
-        if is_file(&path) { Some(bounded_read::read(&path, MAX_FILE_BYTES)?) } else { None };
+    let before = if is_file(&path) {
+        Some(bounded_read::read(&path, MAX_MACHINE_FILE_BYTES)?)
+    } else {
+        None
+    };
     if before.as_ref() == blob
         || before.as_ref().is_some_and(|before| validate_blob(before).is_err())
     {
@@ -166,33 +169,34 @@ fn calibration_change(
     Ok(Some(FileChange { path, content: blob.cloned() }))
 }
 
-fn first_finding_error(ini: &IniLines, findings: &[ConfigurationFinding]) -> BadInput {
+fn first_finding_error(ini: &IniLines, findings: &[ConfigurationFinding]) -> InputFileError {
     let first = findings.first().cloned();
-    let first =
-        first.map(|finding| BadInput::new(finding.place, finding.what).with_help(finding.help));
+    let first = first
+        .map(|finding| InputFileError::new(finding.place, finding.what).with_help(finding.help));
     first.unwrap_or_else(|| {
-        BadInput::new(Location::start_of_file(ini.path()), "it cannot be set up")
+        InputFileError::new(Location::start_of_file(ini.path()), "it cannot be set up")
     })
 }
 
-fn is_written_by_setup(path: &Path) -> Result<bool, BadInput> {
-    Ok(bounded_read::read_text(path, MAX_FILE_BYTES)?.lines().next() == Some(GENERATED_FILE_HEADER))
+fn is_written_by_setup(path: &Path) -> Result<bool, InputFileError> {
+    Ok(bounded_read::read_text(path, MAX_MACHINE_FILE_BYTES)?.lines().next()
+        == Some(GENERATED_FILE_HEADER))
 }
 
 /// `OFFSET_AV_RATIO` of each axis that states none.
-fn add_default_ratios(
+fn add_missing_av_ratios(
     ini: &IniLines,
     demand: &OffsetRequirements,
     blocks: &mut InsertedBlocks,
-) -> Result<(), BadInput> {
-    let base = Ini::parse(&ini.to_text()).map_err(|error| {
-        BadInput::new(ini.line_location(error.place.0, error.place.1), error.rule)
+) -> Result<(), InputFileError> {
+    let base = IniSettings::parse(&ini.to_text()).map_err(|error| {
+        InputFileError::new(ini.line_location(error.place.0, error.place.1), error.rule)
     })?;
     let joints = read_joints(ini)?;
     for (axis, motion) in base.axes.iter().enumerate() {
         let section = format!("AXIS_{}", ["X", "Y", "Z"][axis]);
         let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|value| !value.is_ours);
-        let header = ini.section_header(&section);
+        let header = ini.find_section_header(&section);
         let is_there = joints.iter().any(|joint| joint.axis == axis);
         if let (true, false, Some(header)) = (is_there, stated, header)
             && let Some(ratio) =
@@ -217,10 +221,10 @@ impl InsertedBlocks {
     }
 
     /// Returns the files that change: what setup had added goes, and these blocks come.
-    fn compute_changes(&self, ini: &IniLines) -> Result<Vec<FileChange>, BadInput> {
+    fn compute_changes(&self, ini: &IniLines) -> Result<Vec<FileChange>, InputFileError> {
         let mut changes = Vec::new();
         for path in ini.files() {
-            let before = bounded_read::read_text(&path, MAX_FILE_BYTES)?;
+            let before = bounded_read::read_text(&path, MAX_MACHINE_FILE_BYTES)?;
             let none = BTreeMap::new();
             let after = self.after.get(&path).unwrap_or(&none);
             let text = replace_blocks(&before, after, self.at_end.get(&path));

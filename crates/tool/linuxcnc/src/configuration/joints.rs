@@ -4,7 +4,7 @@
 //! of the joint to the full, so the offset may use only what the drive has above them: its headroom, which the INI file
 //! states as `STEPGEN_MAXVEL` and `STEPGEN_MAXACCEL`. Where one is missing or 0, `DEFAULT_HEADROOM_RATIO` is assumed.
 
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{InputFileError, Location};
 
 use super::ini_lines::{IniLines, IniValue};
 use crate::{
@@ -19,7 +19,7 @@ pub(crate) const LOW_HEADROOM_WARNING_RATIO: f64 = 0.05;
 /// A reversal of this length measures how fast an offset is.
 pub(crate) const REFERENCE_REVERSAL_UM: f64 = 6.0;
 /// Joints move by this where the INI file states no `MAX_VELOCITY` or `MAX_ACCELERATION`, in machine units.
-const DEFAULT_JOINT_LIMIT: f64 = 1.0;
+const DEFAULT_JOINT_MOTION_LIMIT: f64 = 1.0;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 const AXIS_LETTERS: &str = "XYZABCUVW";
 
@@ -41,7 +41,7 @@ impl Headroom {
 
     /// Returns what an offset may use, in machine units per second (squared); at least 0.
     #[must_use]
-    pub(crate) fn available(&self) -> f64 {
+    pub(crate) fn available_for_offset(&self) -> f64 {
         (self.relative_headroom() * self.planner).max(0.0)
     }
 }
@@ -72,8 +72,8 @@ impl Joint {
 
     /// Returns the fastest change of an offset in mm/s, not above `slew_mm_per_s`.
     #[must_use]
-    pub(crate) fn max_offset_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
-        slew_mm_per_s.min(self.velocity.available() * mm_per_unit)
+    pub(crate) fn max_offset_rate_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
+        slew_mm_per_s.min(self.velocity.available_for_offset() * mm_per_unit)
     }
 }
 
@@ -106,17 +106,17 @@ pub(crate) fn compute_offset_av_ratio(
 ///
 /// # Errors
 /// Kinematics other than `trivkins`, joints that do not fit them, or a value that is not a number.
-pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
+pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, InputFileError> {
     let letters = joint_axis_letters(ini)?;
     let mut joints = Vec::new();
     for (number, letter) in letters.chars().enumerate() {
         let Some(axis) = "XYZ".find(letter) else { continue };
         let section = format!("JOINT_{number}");
-        let positive = |key: &str| -> Result<Option<(f64, Location)>, BadInput> {
+        let positive = |key: &str| -> Result<Option<(f64, Location)>, InputFileError> {
             Ok(ini.number(&section, key)?.filter(|(value, _)| *value > 0.0))
         };
-        let headroom = |planner: &str, drive: &str| -> Result<Headroom, BadInput> {
-            let planner = positive(planner)?.map_or(DEFAULT_JOINT_LIMIT, |number| number.0);
+        let headroom = |planner: &str, drive: &str| -> Result<Headroom, InputFileError> {
+            let planner = positive(planner)?.map_or(DEFAULT_JOINT_MOTION_LIMIT, |number| number.0);
             Ok(Headroom { planner, stated: positive(drive)?.map(|number| number.0) })
         };
         let limit = |key: &str| Ok(ini.number(&section, key)?.map(|number| number.0));
@@ -135,7 +135,7 @@ pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
     if joints.len() > MAX_JOINTS {
         let rule =
             format!("{} joints move X, Y and Z, and `moveoff` has {MAX_JOINTS}", joints.len());
-        return Err(BadInput::new(ini.section_location("KINS"), rule));
+        return Err(InputFileError::new(ini.section_location("KINS"), rule));
     }
     Ok(joints)
 }
@@ -148,18 +148,18 @@ pub fn build_joint_settings(
     ini: &IniLines,
     mm_per_unit: f64,
     slew_mm_per_s: f64,
-) -> Result<[Option<JointSettings>; MAX_JOINTS], BadInput> {
+) -> Result<[Option<JointSettings>; MAX_JOINTS], InputFileError> {
     let mut all = [None; MAX_JOINTS];
     for (settings, joint) in all.iter_mut().zip(read_joints(ini)?) {
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
-        let mm_per_s = joint.max_offset_mm_per_s(slew_mm_per_s, mm_per_unit);
-        let mm_per_s2 = joint.acceleration.available() * mm_per_unit;
+        let mm_per_s = joint.max_offset_rate_mm_per_s(slew_mm_per_s, mm_per_unit);
+        let mm_per_s2 = joint.acceleration.available_for_offset() * mm_per_unit;
         if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
             let rule = format!(
                 "joint {}: nothing is left for an offset ({mm_per_s} mm/s, {mm_per_s2} mm/s²)",
                 joint.number
             );
-            return Err(BadInput::new(joint.place, rule).with_help(
+            return Err(InputFileError::new(joint.place, rule).with_help(
                 "state STEPGEN_MAXVEL and STEPGEN_MAXACCEL above MAX_VELOCITY and MAX_ACCELERATION; `trueup linuxcnc check` has the details",
             ));
         }
@@ -178,15 +178,15 @@ pub fn build_joint_settings(
 }
 
 /// Returns the axis letter of each joint.
-fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
+fn joint_axis_letters(ini: &IniLines) -> Result<String, InputFileError> {
     let Some(kinematics) = ini.value("KINS", "KINEMATICS") else {
-        return Err(BadInput::new(ini.section_location("KINS"), "[KINS]KINEMATICS is missing")
+        return Err(InputFileError::new(ini.section_location("KINS"), "[KINS]KINEMATICS is missing")
             .with_help("an offset needs to know which joint moves which axis: KINEMATICS = trivkins coordinates=XYZ"));
     };
     let mut words = kinematics.without_comment().split_whitespace();
     let module = words.next().unwrap_or_default();
     if module != "trivkins" {
-        return Err(BadInput::new(
+        return Err(InputFileError::new(
             kinematics.place.clone(),
             format!("[KINS]KINEMATICS = {module}: an offset at an axis is an offset at its joint with trivkins alone"),
         )
@@ -201,7 +201,7 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
         .collect();
     let joints = ini.number("KINS", "JOINTS")?;
     let Some((joints, place)) = joints else {
-        return Err(BadInput::new(ini.section_location("KINS"), "[KINS]JOINTS is missing")
+        return Err(InputFileError::new(ini.section_location("KINS"), "[KINS]JOINTS is missing")
             .with_help(format!("state the number of joints: JOINTS = {}", letters.len())));
     };
     let too_many = joints > letters.len() as f64 || joints < 1.0;
@@ -211,7 +211,7 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
             "[KINS]JOINTS = {joints} does not fit {} coordinates of [KINS]KINEMATICS",
             letters.len()
         );
-        return Err(BadInput::new(place, rule).with_help("both have to be the same"));
+        return Err(InputFileError::new(place, rule).with_help("both have to be the same"));
     }
     let all = joints as usize;
     let letters: String = letters.chars().take(all).collect();
@@ -222,13 +222,13 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
 }
 
 /// `[TRAJ]COORDINATES` names no axis without a joint.
-fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), BadInput> {
+fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), InputFileError> {
     let axes = traj.without_comment().to_ascii_uppercase();
     match axes
         .chars()
         .find(|character| AXIS_LETTERS.contains(*character) && !letters.contains(*character))
     {
-        Some(axis) => Err(BadInput::new(
+        Some(axis) => Err(InputFileError::new(
             traj.place.clone(),
             format!(
                 "[TRAJ]COORDINATES = {}: no joint of [KINS]KINEMATICS moves {axis}",
@@ -246,12 +246,12 @@ fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), BadInput> {
 mod tests {
     use super::{super::hal_files::tests::configuration, *};
 
-    fn of(kins: &str, joints: &str) -> Result<Vec<Joint>, BadInput> {
+    fn of(kins: &str, joints: &str) -> Result<Vec<Joint>, InputFileError> {
         let text = format!("[KINS]\n{kins}\n{joints}");
         joints_of(&text)
     }
 
-    fn joints_of(text: &str) -> Result<Vec<Joint>, BadInput> {
+    fn joints_of(text: &str) -> Result<Vec<Joint>, InputFileError> {
         super::read_joints(&configuration(&[("m.ini", text)]).1)
     }
 
@@ -295,14 +295,15 @@ mod tests {
                     [JOINT_1]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 0\nSTEPGEN_MAXVEL = 31\nMAX_VELOCITY = 30\n\
                     [JOINT_2]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 300\n";
         let joints = of("KINEMATICS = trivkins\nJOINTS = 3", text).expect("reads");
-        let left: Vec<f64> = joints.iter().map(|joint| joint.acceleration.available()).collect();
+        let left: Vec<f64> =
+            joints.iter().map(|joint| joint.acceleration.available_for_offset()).collect();
         assert_eq!(left, [250.0, 80.0, 0.0]);
         assert!(
-            (joints[1].velocity.available() - 1.0).abs() < 1e-9
-                && joints[0].velocity.available() == 6.0
+            (joints[1].velocity.available_for_offset() - 1.0).abs() < 1e-9
+                && joints[0].velocity.available_for_offset() == 6.0
         );
         assert!(joints[2].acceleration.relative_headroom() < 0.0);
-        assert_eq!(joints[1].max_offset_mm_per_s(0.5, 25.4), 0.5);
+        assert_eq!(joints[1].max_offset_rate_mm_per_s(0.5, 25.4), 0.5);
     }
 
     #[test]

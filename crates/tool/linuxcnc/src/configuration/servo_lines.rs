@@ -20,10 +20,10 @@ use super::{
     ini_lines::IniLines,
     joints::{Joint, compute_offset_av_ratio},
 };
-use crate::ini::Ini;
+use crate::ini::IniSettings;
 
 /// The realtime component.
-pub(crate) const REALTIME_COMPONENT: &str = "trueup_node";
+pub(crate) const REALTIME_COMPONENT_NAME: &str = "trueup_node";
 /// Its function.
 pub(crate) const SERVO_FUNCTION: &str = "trueup.0";
 /// After this time without a heartbeat the temperatures of a program count as missing.
@@ -38,8 +38,9 @@ pub(super) fn format_load_lines(
     demand: &OffsetRequirements,
     sends_angles: bool,
 ) -> String {
-    let mut text =
-        format!("\nloadrt {REALTIME_COMPONENT} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)");
+    let mut text = format!(
+        "\nloadrt {REALTIME_COMPONENT_NAME} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)"
+    );
     if demand.entry == OffsetEntryPoint::Joint {
         let _ = write!(text, " joints={}", joint_axis_letters(joints));
     }
@@ -48,9 +49,9 @@ pub(super) fn format_load_lines(
     }
     text.push('\n');
     let mut set = |pin: &str, value: f64| {
-        let _ = writeln!(text, "setp {SERVO_FUNCTION}.{pin} {}", round_for_output(value));
+        let _ = writeln!(text, "setp {SERVO_FUNCTION}.{pin} {}", round_to_billionth(value));
     };
-    let base = Ini::parse(&ini.to_text()).unwrap_or_default();
+    let base = IniSettings::parse(&ini.to_text()).unwrap_or_default();
     set("mm-per-unit", base.mm_per_unit);
     if let Some(codes) = no_board.codes_per_v {
         set("sensor-codes-per-v", codes);
@@ -83,7 +84,7 @@ pub(super) fn format_load_lines(
 }
 
 /// Rounds to 10⁻⁹: what is beyond is arithmetic.
-pub(super) fn round_for_output(value: f64) -> f64 {
+pub(super) fn round_to_billionth(value: f64) -> f64 {
     (value * 1e9).round() / 1e9
 }
 

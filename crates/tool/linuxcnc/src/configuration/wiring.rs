@@ -35,9 +35,9 @@ use super::{
     ini_lines::IniLines,
     input_signals,
     joints::Joint,
-    servo_lines::{self, REALTIME_COMPONENT, SERVO_FUNCTION, round_for_output},
+    servo_lines::{self, REALTIME_COMPONENT_NAME, SERVO_FUNCTION, round_to_billionth},
 };
-use crate::ini::Ini;
+use crate::ini::IniSettings;
 
 /// The HAL file that is loaded once.
 pub(crate) const REALTIME_HAL_FILE: &str = "trueup_realtime.hal";
@@ -225,7 +225,7 @@ impl HalWriter<'_> {
         ] {
             let _ = writeln!(text, "setp {LIMITER_INSTANCE}.{pin} {value}");
         }
-        let mm_per_unit = Ini::parse(&self.ini.to_text()).unwrap_or_default().mm_per_unit;
+        let mm_per_unit = IniSettings::parse(&self.ini.to_text()).unwrap_or_default().mm_per_unit;
         for (channel, (joint, name)) in joints.iter().zip(&names).enumerate() {
             let number = joint.number;
             let [command, feedback] = ["cmd", "fb"].map(|end| self.joint_signal(joint, end));
@@ -243,14 +243,15 @@ impl HalWriter<'_> {
             Self::connect_speed_ramp(text, name, channel);
             if demand.no_board.is_some() {
                 let slew_mm_per_s = demand.slew_um_per_s / MICROMETRES_PER_MILLIMETRE;
-                let speed = joint.max_offset_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
+                let speed =
+                    joint.max_offset_rate_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
                 let _ = write!(
                     text,
                     "setp {name}-go.in1 {speed}\n\
                      setp {name}-speed.maxv {acceleration}\n\
                      setp {LIMITER_INSTANCE}.offset-accel-{channel} {acceleration}\n",
-                    speed = round_for_output(speed),
-                    acceleration = round_for_output(joint.acceleration.available())
+                    speed = round_to_billionth(speed),
+                    acceleration = round_to_billionth(joint.acceleration.available_for_offset())
                 );
             }
         }
@@ -319,7 +320,7 @@ impl HalWriter<'_> {
             if input_signals::has_all_angle_signals(demand, self.hal) { " --rotary" } else { "" };
         let mut text = if demand.no_board.is_some() {
             format!(
-                "{GENERATED_FILE_HEADER}\n# What keeps the heat over a restart, and the wires of {REALTIME_COMPONENT}.\n\n\
+                "{GENERATED_FILE_HEADER}\n# What keeps the heat over a restart, and the wires of {REALTIME_COMPONENT_NAME}.\n\n\
                  loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)\n\n"
             )
         } else {

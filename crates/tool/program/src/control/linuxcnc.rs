@@ -30,7 +30,7 @@ impl LinuxcncWriter {
 
 impl LinuxcncWriter {
     /// No probing move has machine coordinates: what the work coordinates differ by is added to each place.
-    fn probe_in_machine_coordinates(&mut self) {
+    fn push_work_offset_variables(&mut self) {
         self.push_line("o98 if [EXISTS[#<_abs_x>] EQ 0]".into());
         self.push_line("  (MSG, Not run: this needs LinuxCNC 2.9)".into());
         self.push_line("  M2".into());
@@ -77,7 +77,7 @@ impl Dialect for LinuxcncWriter {
         let plane = if plan.is_lathe { "G18 G7" } else { "G17" };
         self.push_line(format!("{plane} G21 G40 G49 G80 G90 G94 G97 G61"));
         if is_probed {
-            self.probe_in_machine_coordinates();
+            self.push_work_offset_variables();
             let names: Vec<String> = plan.columns.iter().map(template::column_name).collect();
             self.push_line(format!("(LOGOPEN,{}.csv)", plan.name));
             self.push_line(format!("(LOG,{})", names.join(",")));

@@ -3,29 +3,32 @@
 
 use trueup_machine::Machine;
 
-use super::{Plans, base_plan, linear_move, measured_column, plan_each_axis, temperature_column};
+use super::{
+    PlansWithNotes, base_plan, linear_move, measured_column_name, plan_each_axis,
+    temperature_column,
+};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
     refused::ProgramError,
-    travel::{AxisTravel, evenly_spaced, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions, round_to_micrometres},
 };
 
 /// Where, in mm (paper 2).
-const MEASURED_RANGE_MM: [f64; 2] = [500.0, 1500.0];
+const DEFAULT_MEASURED_RANGE_MM: [f64; 2] = [500.0, 1500.0];
 /// From target to target, in mm (paper 2).
 const MAX_TARGET_STEP_MM: f64 = 100.0;
 /// From measurement to measurement, in s (paper 2).
-const HEATING_TIME_S: f64 = 1200.0;
+const DEFAULT_HEATING_TIME_S: f64 = 1200.0;
 /// Rounds of heat: two hours.
-const HEATING_ROUNDS: u32 = 6;
+const DEFAULT_HEATING_ROUNDS: u32 = 6;
 /// The most strokes of a round: FANUC repeats no more often.
 const MAX_STROKES: f64 = 9999.0;
 
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     plan_each_axis(machine, options, create_plan)
 }
 
@@ -35,17 +38,19 @@ fn create_plan(
     options: &MeasurementOptions,
 ) -> Result<Plan, ProgramError> {
     let axis = travel.axis;
-    let [low, high] = select_range(travel, options);
+    let [low, high] = select_measured_range(travel, options);
     let step = options.step_mm.unwrap_or(MAX_TARGET_STEP_MM.min((high - low) / 4.0));
-    let targets = evenly_spaced(low, high, step).ok_or_else(|| {
+    let targets = evenly_spaced_positions(low, high, step).ok_or_else(|| {
         ProgramError(format!(
             "--step-mm {step} does not fit into {low} to {high} mm of {}",
             axis.name()
         ))
     })?;
     let heat_feed = options.heat_feed_mm_per_min;
-    let strokes =
-        (options.heat_s.unwrap_or(HEATING_TIME_S) * heat_feed / 60.0 / (2.0 * (high - low))).ceil();
+    let strokes = (options.heat_s.unwrap_or(DEFAULT_HEATING_TIME_S) * heat_feed
+        / 60.0
+        / (2.0 * (high - low)))
+        .ceil();
     if strokes > MAX_STROKES {
         return Err(ProgramError(format!(
             "{strokes} strokes from {low} to {high} mm in a round: give a longer range or a lower \
@@ -72,7 +77,7 @@ fn create_plan(
     // Measured first, so that the first round is the cold one; the heat of the last would be wasted.
     let mut round = measure();
     round.extend([linear_move(travel, near, heat_feed), heat]);
-    let rounds = options.repeats.unwrap_or(HEATING_ROUNDS);
+    let rounds = options.repeats.unwrap_or(DEFAULT_HEATING_ROUNDS);
     let [start, _] = travel.ordered_ends_mm();
     // A tool axis is retracted before it goes to its first place.
     let mut steps: Vec<Step> =
@@ -83,7 +88,7 @@ fn create_plan(
     let mut columns = vec![Column::Empty("time_s".into()), Column::Position(axis.index())];
     columns.push(Column::Direction(axis.index()));
     columns.push(Column::Empty(temperature_column(machine, axis)));
-    columns.push(Column::Empty(measured_column(axis)));
+    columns.push(Column::Empty(measured_column_name(axis)));
     let notes = [
         "Begin with a machine that has stood still over night.",
         "Write down the screw's temperature and the time at each reading, or let a logger do it.",
@@ -99,11 +104,15 @@ fn create_plan(
 }
 
 /// Returns the range that is requested, else the paper's as far as the travel has it, else all of that.
-fn select_range(travel: &AxisTravel, options: &MeasurementOptions) -> [f64; 2] {
+fn select_measured_range(travel: &AxisTravel, options: &MeasurementOptions) -> [f64; 2] {
     let [inside_low, inside_high] = travel.target_range_mm();
-    let (low, high) = (inside_low.max(MEASURED_RANGE_MM[0]), inside_high.min(MEASURED_RANGE_MM[1]));
+    let (low, high) = (
+        inside_low.max(DEFAULT_MEASURED_RANGE_MM[0]),
+        inside_high.min(DEFAULT_MEASURED_RANGE_MM[1]),
+    );
     let is_requested = options.range_mm[travel.axis.index()].is_some();
     // Half of the paper's metre is worth more than places that it names.
-    let is_enough = high - low >= 0.5 * (MEASURED_RANGE_MM[1] - MEASURED_RANGE_MM[0]);
+    let is_enough =
+        high - low >= 0.5 * (DEFAULT_MEASURED_RANGE_MM[1] - DEFAULT_MEASURED_RANGE_MM[0]);
     if is_enough && !is_requested { [low, high] } else { [inside_low, inside_high] }
 }

@@ -15,8 +15,8 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution, linear_move,
-    measured_column, uppercase_name,
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, head_zero_precaution, linear_move,
+    measured_column_name, uppercase_axis_name,
 };
 use crate::{
     options::{MeasurementOptions, MeasuringInstrument},
@@ -31,12 +31,12 @@ use crate::{
 const DEFAULT_REPEATS: u32 = 7;
 /// How far an axis reverses into a dial that stays where it is, in mm: many times the play of a worn axis, and
 /// within the stroke of a plunger dial.
-const DIAL_REVERSAL_MM: f64 = 0.5;
+const MAX_DIAL_REVERSAL_MM: f64 = 0.5;
 
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (travels, mut notes) = resolve_travels(machine, options)?;
     let room = ClearanceMove::from_options(machine, options)?;
     let mut plans = Vec::new();
@@ -80,7 +80,7 @@ impl ClearanceMove {
         options: &MeasurementOptions,
     ) -> Result<Option<Self>, ProgramError> {
         let Some((axis, mm)) = options.clearance_mm else { return Ok(None) };
-        if selected_gauge(options) != MeasuringInstrument::Dial {
+        if selected_instrument(options) != MeasuringInstrument::Dial {
             return Ok(None);
         }
         let name = axis.name();
@@ -121,7 +121,7 @@ impl ClearanceMove {
     }
 }
 
-fn selected_gauge(options: &MeasurementOptions) -> MeasuringInstrument {
+fn selected_instrument(options: &MeasurementOptions) -> MeasuringInstrument {
     options.gauge.unwrap_or_default()
 }
 
@@ -134,7 +134,7 @@ fn create_plan(
     let axis = travel.axis;
     let [low, high] = travel.target_range_mm();
     let places = travel.in_approach_order([low, (low + high) / 2.0, high]);
-    let is_dial = selected_gauge(options) == MeasuringInstrument::Dial;
+    let is_dial = selected_instrument(options) == MeasuringInstrument::Dial;
     let [start, _] = travel.ordered_ends_mm();
     // A tool axis is retracted before it goes to its first place.
     let mut steps: Vec<Step> =
@@ -145,7 +145,10 @@ fn create_plan(
         if is_dial && n > 0 {
             steps.push(Step::Stop(vec![
                 "Take the dial away.".into(),
-                format!("{} goes to {at} mm next: its way must be clear.", uppercase_name(axis)),
+                format!(
+                    "{} goes to {at} mm next: its way must be clear.",
+                    uppercase_axis_name(axis)
+                ),
             ]));
         }
         let room = room.filter(|_| is_dial);
@@ -166,7 +169,7 @@ fn create_plan(
     }
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.extend([Column::Direction(axis.index()), Column::Feed]);
-    columns.push(Column::Empty(measured_column(axis)));
+    columns.push(Column::Empty(measured_column_name(axis)));
     let mut precautions = head_zero_precaution(machine);
     if is_dial {
         precautions.push("No dial yet: the program stops for it.".into());
@@ -194,8 +197,8 @@ fn dial_side_travel_mm(
     options: &MeasurementOptions,
 ) -> f64 {
     let over_mm = travel.over_travel_mm();
-    let is_pressed = selected_gauge(options) == MeasuringInstrument::Dial && room.is_none();
-    if is_pressed { over_mm.min(DIAL_REVERSAL_MM) } else { over_mm }
+    let is_pressed = selected_instrument(options) == MeasuringInstrument::Dial && room.is_none();
+    if is_pressed { over_mm.min(MAX_DIAL_REVERSAL_MM) } else { over_mm }
 }
 
 /// Where the dial stands, and what moves next.
@@ -205,7 +208,7 @@ fn dial_setup_instructions(
     room: Option<ClearanceMove>,
     options: &MeasurementOptions,
 ) -> Vec<String> {
-    let (name, over_mm) = (uppercase_name(travel.axis), travel.over_travel_mm());
+    let (name, over_mm) = (uppercase_axis_name(travel.axis), travel.over_travel_mm());
     let sign = if dial_exit_direction(travel) > 0.0 { '+' } else { '-' };
     let beyond_mm = dial_side_travel_mm(travel, room, options);
     let place = if machine.kind == MachineKind::Lathe { " between turret and chuck," } else { "" };
@@ -220,7 +223,7 @@ fn dial_setup_instructions(
     text.push(match room {
         Some(ClearanceMove { axis, at_mm, clear_mm }) => format!(
             "In between {} goes from {at_mm} to {clear_mm} mm and back: both ways must be clear.",
-            uppercase_name(axis)
+            uppercase_axis_name(axis)
         ),
         None => format!(
             "The dial is pressed by {beyond_mm} mm: leave it twice that stroke. All else must be clear."

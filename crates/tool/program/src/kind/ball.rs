@@ -25,7 +25,7 @@ pub(super) struct Ball {
 
 /// A place where a ball is touched.
 #[derive(Clone, Copy)]
-pub(super) struct BallPosition {
+pub(super) struct BallTarget {
     pub run: u32,
     /// Where the axes would stand with the tip in the centre of the ball.
     pub at_mm: [f64; 3],
@@ -65,13 +65,13 @@ impl Ball {
     }
 
     /// Returns the steps from above any ball, or retracted, to above this one, touched, and its reading.
-    pub fn steps(&self, probing: &ProbeSetup, place: &BallPosition) -> Vec<Step> {
+    pub fn probing_steps(&self, probing: &ProbeSetup, place: &BallTarget) -> Vec<Step> {
         let (tool, up, clear) = (probing.tool, probing.retract, self.clearance_radius_mm(probing));
         let centre = place.at_mm;
         let above = centre[tool] + up * clear;
         let top = centre[tool] + up * self.apart_mm;
         let mut steps = probing.sides.map(|axis| probing.guarded_move(axis, centre[axis])).to_vec();
-        steps.extend([probing.guarded_move(tool, above), probing.touch(tool, top, -up, 5)]);
+        steps.extend([probing.guarded_move(tool, above), probing.touch_step(tool, top, -up, 5)]);
         let mut number = 0;
         for axis in probing.sides {
             for side in [-1.0, 1.0] {
@@ -79,7 +79,7 @@ impl Ball {
                 steps.extend([
                     probing.guarded_move(axis, centre[axis] + side * clear),
                     probing.guarded_move(tool, centre[tool]),
-                    probing.touch(axis, centre[axis] + side * self.apart_mm, -side, number),
+                    probing.touch_step(axis, centre[axis] + side * self.apart_mm, -side, number),
                     probing.guarded_move(tool, above),
                     probing.guarded_move(axis, centre[axis]),
                 ]);
@@ -91,7 +91,7 @@ impl Ball {
             by[axis] = Some(TouchMean { touches, expected_mm: centre[axis] });
         }
         by[tool] = Some(TouchMean { touches: [5, 5], expected_mm: round_to_micrometres(top) });
-        let BallPosition { run, at_mm, angle_deg, tool_length_mm, point } = *place;
+        let BallTarget { run, at_mm, angle_deg, tool_length_mm, point } = *place;
         steps.push(Step::Found(ProbedPoint { run, at_mm, angle_deg, tool_length_mm, point, by }));
         steps
     }
@@ -108,6 +108,6 @@ pub(super) fn ball_columns(
     columns.extend(LinearAxis::ALL.map(|axis| Column::Position(axis.index())));
     columns.extend(rotary.iter().map(|axis| Column::Angle(*axis)));
     columns.extend(probing.tool_lengths_mm[0].map(|_| Column::ToolLength));
-    columns.extend(LinearAxis::ALL.map(|axis| Column::Empty(super::measured_column(axis))));
+    columns.extend(LinearAxis::ALL.map(|axis| Column::Empty(super::measured_column_name(axis))));
     columns
 }

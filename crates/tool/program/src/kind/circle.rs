@@ -14,11 +14,11 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution, plan_each_pair,
-    unused_clearance_note, uppercase_name,
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, head_zero_precaution, plan_each_pair,
+    unused_clearance_note, uppercase_axis_name,
 };
 use crate::{
-    arc::Arc,
+    arc::ArcMove,
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
     refused::ProgramError,
@@ -30,7 +30,7 @@ const BALL_BAR_LENGTHS_MM: [f64; 4] = [300.0, 150.0, 100.0, 50.0];
 /// A turn takes 38 s: an instrument that reads ten times a second has a reading each degree …
 const FEED_RADII_PER_MIN: f64 = 10.0;
 /// … but no feed is higher unless it is requested, in mm/min.
-const MAX_FEED_MM_PER_MIN: f64 = 1000.0;
+const MAX_DEFAULT_FEED_MM_PER_MIN: f64 = 1000.0;
 /// How far a part of a circle goes below the pivot, in degrees, so that both reversals are in it.
 const ANGLE_BELOW_PIVOT_DEG: f64 = 20.0;
 /// An axis with more than this share of the tool direction leads along the tool.
@@ -43,7 +43,7 @@ const MIN_RADIUS_MM: f64 = 1.0;
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     if machine.kind == MachineKind::Lathe {
         return Err(ProgramError(
             "a circle around the axis of a lathe has no far side: X and Z of a turret reach half of it at best".into(),
@@ -159,10 +159,10 @@ fn create_plan(
     let (sin, cos) = way.start_deg.to_radians().sin_cos();
     let start_mm = [cos, sin].map(|component| component * radius);
     let start_mm = [0, 1].map(|n| round_to_micrometres(centre_mm[n] + start_mm[n]));
-    let own_feed = (FEED_RADII_PER_MIN * radius).min(MAX_FEED_MM_PER_MIN);
+    let own_feed = (FEED_RADII_PER_MIN * radius).min(MAX_DEFAULT_FEED_MM_PER_MIN);
     let feed = options.feeds_mm_per_min.first().copied().unwrap_or(own_feed);
     let read_deg = way.read_deg;
-    let arc = |turn_deg| Arc { axes, centre_mm, turn_deg, read_deg, feed_mm_per_min: feed };
+    let arc = |turn_deg| ArcMove { axes, centre_mm, turn_deg, read_deg, feed_mm_per_min: feed };
     let extent_mm = arc(way.turn_deg).extent_mm(start_mm);
     // What leads along the tool or is vertical goes to its retracted end first.
     let retracted = |n: usize| {
@@ -196,7 +196,7 @@ fn create_plan(
     columns.extend([Column::Sense, Column::Feed, Column::Empty("measured_dr_um".into())]);
     let mut precautions = head_zero_precaution(machine);
     if let Some(mm) = options.at_mm[still.index()] {
-        precautions.push(format!("{} stands at {mm} mm.", uppercase_name(still)));
+        precautions.push(format!("{} stands at {mm} mm.", uppercase_axis_name(still)));
     }
     precautions.push("No ball bar yet: the program stops for it.".into());
     Ok(Plan {
@@ -231,7 +231,7 @@ fn collect_notes(
     if options.at_mm[still.index()].is_none() {
         notes.push(format!(
             "trueup fit volume needs to know where {0} stands, which trueup fit circle does not: --at {name}=MM.",
-            uppercase_name(still)
+            uppercase_axis_name(still)
         ));
     }
     notes
@@ -243,15 +243,15 @@ fn centre_instructions(
     still: LinearAxis,
     machine: &Machine,
 ) -> Vec<String> {
-    let [u, v] = pair.map(|travel| uppercase_name(travel.axis));
+    let [u, v] = pair.map(|travel| uppercase_axis_name(travel.axis));
     let mut text = vec![
         format!(
             "Here is the centre. Jog {0} alone: set the pivot of the bar, or the zero of the instrument, under the tool.",
-            uppercase_name(still)
+            uppercase_axis_name(still)
         ),
         format!(
             "Fix it, and jog {0} clear of it. {u} and {v} go to the start next.",
-            uppercase_name(still)
+            uppercase_axis_name(still)
         ),
     ];
     if pair.iter().any(|travel| {
@@ -270,7 +270,7 @@ fn start_instructions(
     way: &UnitArc,
     feed: f64,
 ) -> Vec<String> {
-    let [u, v] = pair.map(|travel| uppercase_name(travel.axis));
+    let [u, v] = pair.map(|travel| uppercase_axis_name(travel.axis));
     let what = match way.turn_deg > 360.0 {
         true => "two turns counter-clockwise, then two clockwise",
         false => "220 degrees counter-clockwise, then back",

@@ -7,13 +7,14 @@ use trueup_machine::{
 };
 
 use super::{
-    Plans, base_plan, measured_column, plan_each_pair, unused_clearance_note, uppercase_name,
+    PlansWithNotes, base_plan, measured_column_name, plan_each_pair, unused_clearance_note,
+    uppercase_axis_name,
 };
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
     refused::ProgramError,
-    travel::{AxisTravel, evenly_spaced, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions, resolve_travels, round_to_micrometres},
 };
 
 /// There and back so often.
@@ -26,7 +27,7 @@ const MIN_STEPS: f64 = 12.0;
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     if machine.kind == MachineKind::Lathe {
         return Err(ProgramError(
             "a diagonal is measured across a third axis, which a lathe has not".into(),
@@ -44,7 +45,10 @@ pub(crate) fn create_plans(
 
 /// Returns the ends of both axes, where the diagonal begins and where it ends. A tool axis begins where it is
 /// retracted; an axis that may begin at either end begins at the same one as the other, so that both rise.
-fn corners(pair: [&AxisTravel; 2], ends_mm: impl Fn(&AxisTravel) -> [f64; 2]) -> [[f64; 2]; 2] {
+fn diagonal_ends(
+    pair: [&AxisTravel; 2],
+    ends_mm: impl Fn(&AxisTravel) -> [f64; 2],
+) -> [[f64; 2]; 2] {
     let starts_at_upper_end = |n: usize| match pair[n].retract {
         Some(_) => pair[n].starts_at_upper_end(),
         None => pair[1 - n].starts_at_upper_end(),
@@ -70,12 +74,12 @@ fn create_plan(
         }
         to
     };
-    let [near, far] = corners(pair, |travel| [travel.low_mm, travel.high_mm]);
-    let [from, until] = corners(pair, AxisTravel::target_range_mm);
+    let [near, far] = diagonal_ends(pair, |travel| [travel.low_mm, travel.high_mm]);
+    let [from, until] = diagonal_ends(pair, AxisTravel::target_range_mm);
     let at = |share: f64| [0, 1].map(|n| from[n] + share * (until[n] - from[n]));
     let length = (until[0] - from[0]).hypot(until[1] - from[1]);
     let step = options.step_mm.unwrap_or(MAX_TARGET_STEP_MM.min(length / MIN_STEPS));
-    let shares: Vec<f64> = evenly_spaced(0.0, length, step)
+    let shares: Vec<f64> = evenly_spaced_positions(0.0, length, step)
         .ok_or_else(|| ProgramError(format!("--step-mm {step} does not fit into {length:.0} mm")))?
         .into_iter()
         // A length that is rounded to whole micrometres is not 1.
@@ -100,14 +104,14 @@ fn create_plan(
     let mut columns = vec![Column::Run];
     columns.extend([first, second].map(|travel| Column::Position(travel.axis.index())));
     columns.extend([first, second].map(|travel| Column::Direction(travel.axis.index())));
-    columns.push(Column::Empty(measured_column(across)));
+    columns.push(Column::Empty(measured_column_name(across)));
     let name = format!("diagonal-{}{}", first.axis.name(), second.axis.name());
     Ok(Plan {
         notes: vec![format!(
             "{} and {} go together across the plane; {} is measured. Run it without compensation and with.",
-            uppercase_name(first.axis),
-            uppercase_name(second.axis),
-            uppercase_name(across)
+            uppercase_axis_name(first.axis),
+            uppercase_axis_name(second.axis),
+            uppercase_axis_name(across)
         )],
         steps,
         columns,

@@ -29,7 +29,7 @@ use crate::{
 };
 
 /// The plans of a kind, and notes of what has none.
-type Plans = (Vec<Plan>, Vec<String>);
+type PlansWithNotes = (Vec<Plan>, Vec<String>);
 
 /// Returns the plan of each axis that may move, and a note for one that does not fit.
 ///
@@ -39,7 +39,7 @@ fn plan_each_axis(
     machine: &Machine,
     options: &MeasurementOptions,
     create_plan: impl Fn(&Machine, &AxisTravel, &MeasurementOptions) -> Result<Plan, ProgramError>,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (travels, mut notes) = resolve_travels(machine, options)?;
     notes.extend(unused_clearance_note(options));
     let mut plans = Vec::new();
@@ -61,7 +61,7 @@ fn plan_each_pair(
     mut notes: Vec<String>,
     name: &str,
     plan: impl Fn([&AxisTravel; 2]) -> Result<Plan, ProgramError>,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let mut plans = Vec::new();
     for (n, first) in travels.iter().enumerate() {
         for second in &travels[n + 1..] {
@@ -140,12 +140,12 @@ fn evenly_spaced_targets_mm(
 }
 
 /// `x` of the axis as the operator calls it: `X`.
-fn uppercase_name(axis: LinearAxis) -> String {
+fn uppercase_axis_name(axis: LinearAxis) -> String {
     axis.name().to_uppercase()
 }
 
 /// Returns the column of the measured error of an axis.
-fn measured_column(axis: LinearAxis) -> String {
+fn measured_column_name(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 

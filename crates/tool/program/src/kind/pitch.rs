@@ -7,8 +7,8 @@
 use trueup_machine::Machine;
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, bidirectional_passes, evenly_spaced_targets_mm,
-    measured_column, plan_each_axis,
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, bidirectional_passes,
+    evenly_spaced_targets_mm, measured_column_name, plan_each_axis,
 };
 use crate::{
     options::MeasurementOptions,
@@ -31,7 +31,7 @@ const INVERSE_GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (plans, notes) = plan_each_axis(machine, options, create_plan)?;
     Ok((plans.into_iter().flat_map(|plan| plan_per_drive(machine, plan)).collect(), notes))
 }
@@ -74,7 +74,7 @@ fn create_plan(
     let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
     let steps = bidirectional_passes(travel, compute_targets(travel, options)?, times, options);
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
-    columns.extend([Column::Direction(axis.index()), Column::Empty(measured_column(axis))]);
+    columns.extend([Column::Direction(axis.index()), Column::Empty(measured_column_name(axis))]);
     Ok(Plan {
         name: format!("pitch-{}", axis.name()),
         notes: vec![COMPENSATION_OFF_PRECAUTION.to_string()],

@@ -4,8 +4,8 @@
 use trueup_machine::{Machine, file::LinearAxis};
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans,
-    ball::{Ball, BallPosition, ball_columns},
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes,
+    ball::{Ball, BallTarget, ball_columns},
     base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command, require_option},
     unused_clearance_note,
@@ -24,7 +24,7 @@ const MAX_BALLS_PER_AXIS: u32 = 50;
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (probing, mut notes) = ProbeSetup::new(machine, options, "a ball plate")?;
     notes.extend(unused_clearance_note(options));
     if machine.volume.chain.is_none() {
@@ -58,7 +58,7 @@ fn create_plan(
     let mut steps = Vec::new();
     for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
-            steps.push(probing.change_stylus(length_mm));
+            steps.push(probing.stylus_change_step(length_mm));
         }
         steps.extend(probing.retract_steps());
         for run in 1..=options.repeats.unwrap_or(DEFAULT_REPEATS) {
@@ -73,19 +73,19 @@ fn create_plan(
                 }
                 ball.check(probing, at_mm)?;
                 let point = Some(row * columns_ + column + 1);
-                let place = BallPosition {
+                let place = BallTarget {
                     run,
                     at_mm,
                     angle_deg: [None; 3],
                     tool_length_mm: length_mm,
                     point,
                 };
-                steps.extend(ball.steps(probing, &place));
+                steps.extend(ball.probing_steps(probing, &place));
             }
         }
         steps.push(probing.guarded_move(probing.tool, probing.retracted_position_mm()));
     }
-    let [u, v] = sides.map(|n| super::uppercase_name(LinearAxis::ALL[n]));
+    let [u, v] = sides.map(|n| super::uppercase_axis_name(LinearAxis::ALL[n]));
     let mut precautions = head_zero_precaution(machine);
     precautions.extend([
         format!("{columns_} balls along {u}, {rows} along {v}, {pitch_mm} mm apart, level; --at is the first."),

@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// The feed of a touch in mm/min: within 1 ms a control that sees it late goes 1 µm.
-const PROBING_FEED_MM_PER_MIN: f64 = 60.0;
+const DEFAULT_PROBING_FEED_MM_PER_MIN: f64 = 60.0;
 /// How far before a surface a touch begins and how far behind it ends, in mm.
 const DEFAULT_SEARCH_DISTANCE_MM: f64 = 3.0;
 /// The shortest such way in mm: a hand puts an artefact down that well, and no better.
@@ -112,7 +112,7 @@ impl ProbeSetup {
                 .feeds_mm_per_min
                 .first()
                 .copied()
-                .unwrap_or(PROBING_FEED_MM_PER_MIN),
+                .unwrap_or(DEFAULT_PROBING_FEED_MM_PER_MIN),
             tool_lengths_mm,
             at_mm,
         };
@@ -150,7 +150,7 @@ impl ProbeSetup {
     }
 
     /// Returns a touch that looks for a surface from as far before it as behind it.
-    pub fn touch(&self, axis: usize, surface_mm: f64, towards: f64, number: usize) -> Step {
+    pub fn touch_step(&self, axis: usize, surface_mm: f64, towards: f64, number: usize) -> Step {
         Step::Touch(Touch {
             axis,
             to_mm: round_to_micrometres(surface_mm + towards * self.search_mm),
@@ -173,7 +173,7 @@ impl ProbeSetup {
     }
 
     /// Returns what the operator does to change the stylus.
-    pub(crate) fn change_stylus(&self, length_mm: f64) -> Step {
+    pub(crate) fn stylus_change_step(&self, length_mm: f64) -> Step {
         Step::Stop(vec![
             format!(
                 "Put in the stylus of {length_mm} mm, nothing else. All as before must be clear."

@@ -2,7 +2,7 @@
 
 use super::NON_CONTACT_PRECAUTION;
 use crate::{
-    options::APPROACH_FEED_MM_PER_MIN,
+    options::DEFAULT_APPROACH_FEED_MM_PER_MIN,
     plan::{Column, Plan, Step},
 };
 
@@ -54,7 +54,7 @@ pub fn plan_speed_run(
         name: "next".into(),
         notes: notes.map(String::from).into(),
         precautions: vec![NON_CONTACT_PRECAUTION.into()],
-        approach_mm_per_min: APPROACH_FEED_MM_PER_MIN,
+        approach_mm_per_min: DEFAULT_APPROACH_FEED_MM_PER_MIN,
         steps,
         columns,
         then: vec!["trueup diagnose --run next.csv".into()],

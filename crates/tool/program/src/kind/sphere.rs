@@ -6,13 +6,13 @@
 
 use trueup_machine::{
     Machine,
-    file::{Chain, RotaryAxis},
+    file::{AxisChain, RotaryAxis},
     model::rotate_about_axis,
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans,
-    ball::{Ball, BallPosition, ball_columns},
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes,
+    ball::{Ball, BallTarget, ball_columns},
     base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command},
     unused_clearance_note,
@@ -35,7 +35,7 @@ type RotaryAngles = [Option<f64>; 3];
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (probing, mut notes) = ProbeSetup::new(machine, options, "a sphere")?;
     let ball = Ball::new(&probing, options)?;
     notes.extend(unused_clearance_note(options));
@@ -45,7 +45,7 @@ pub(crate) fn create_plans(
     let mut stands = Some(poses[0]);
     for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
-            steps.push(probing.change_stylus(length_mm));
+            steps.push(probing.stylus_change_step(length_mm));
         }
         steps.extend(probing.retract_steps());
         for &angle_deg in &poses {
@@ -64,8 +64,8 @@ pub(crate) fn create_plans(
             }
             for run in 1..=options.repeats.unwrap_or(DEFAULT_REPEATS) {
                 let place =
-                    BallPosition { run, at_mm, angle_deg, tool_length_mm: length_mm, point: None };
-                steps.extend(ball.steps(&probing, &place));
+                    BallTarget { run, at_mm, angle_deg, tool_length_mm: length_mm, point: None };
+                steps.extend(ball.probing_steps(&probing, &place));
             }
             steps.push(probing.guarded_move(probing.tool, probing.retracted_position_mm()));
         }
@@ -109,7 +109,7 @@ fn enumerate_poses(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Vec<RotaryAngles>, ProgramError> {
-    let table = machine.volume.chain.as_ref().map(|chain: &Chain| chain.table.clone());
+    let table = machine.volume.chain.as_ref().map(|chain: &AxisChain| chain.table.clone());
     let table = table.unwrap_or_default();
     let mut poses = vec![[None; 3]];
     for axis in RotaryAxis::ALL {

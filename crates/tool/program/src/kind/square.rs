@@ -14,7 +14,7 @@
 use trueup_machine::{Machine, file::LinearAxis};
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution,
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command, require_option},
     unused_clearance_note,
 };
@@ -23,20 +23,20 @@ use crate::{
     plan::{Column, Plan, Step},
     probe::{ProbedPoint, TouchMean},
     refused::ProgramError,
-    travel::{evenly_spaced, round_to_micrometres},
+    travel::{evenly_spaced_positions, round_to_micrometres},
 };
 
 /// Rounds around both faces.
 const DEFAULT_REPEATS: u32 = 2;
 /// Steps along a face.
-const STEPS_PER_FACE: f64 = 10.0;
+const DEFAULT_STEPS_PER_FACE: f64 = 10.0;
 /// How far from its ends a face is touched, in styli.
-const FACE_INSET_STYLI: f64 = 1.0;
+const FACE_INSET_STYLUS_DIAMETERS: f64 = 1.0;
 
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let (probing, mut notes) = ProbeSetup::new(machine, options, "a square")?;
     let size_mm =
         require_option(options.size_mm, "--size", "the length of both faces of the square")?;
@@ -51,10 +51,10 @@ fn create_plan(
     size_mm: f64,
     options: &MeasurementOptions,
 ) -> Result<Plan, ProgramError> {
-    let inset = FACE_INSET_STYLI * probing.stylus_mm;
+    let inset = FACE_INSET_STYLUS_DIAMETERS * probing.stylus_mm;
     let long_mm = size_mm - 2.0 * inset;
-    let step_mm = options.step_mm.unwrap_or(long_mm / STEPS_PER_FACE);
-    let along = evenly_spaced(inset, inset + long_mm, step_mm).ok_or_else(|| {
+    let step_mm = options.step_mm.unwrap_or(long_mm / DEFAULT_STEPS_PER_FACE);
+    let along = evenly_spaced_positions(inset, inset + long_mm, step_mm).ok_or_else(|| {
         ProgramError(format!("--step-mm {step_mm} does not fit on faces of {size_mm} mm"))
     })?;
     let [first, second] = probing.sides;
@@ -71,7 +71,7 @@ fn create_plan(
         }
         probing.check_travel(probing.tool, &[corner[probing.tool]])?;
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
-            steps.push(probing.change_stylus(length_mm));
+            steps.push(probing.stylus_change_step(length_mm));
         }
         steps.extend(probing.retract_steps());
         // Down next to the corner, outside of both faces.
@@ -90,7 +90,7 @@ fn create_plan(
                     let point = Some(point);
                     steps.extend([
                         probing.guarded_move(moved, at_mm[moved]),
-                        probing.touch(touched, surface, 1.0, 1),
+                        probing.touch_step(touched, surface, 1.0, 1),
                         Step::Found(ProbedPoint {
                             run,
                             at_mm,
@@ -116,9 +116,9 @@ fn create_plan(
     }
     let mut touched = probing.sides;
     touched.sort_unstable();
-    columns.extend(touched.map(|n| Column::Empty(super::measured_column(LinearAxis::ALL[n]))));
+    columns.extend(touched.map(|n| Column::Empty(super::measured_column_name(LinearAxis::ALL[n]))));
     let mut precautions = head_zero_precaution(machine);
-    let [u, v] = touched.map(|n| super::uppercase_name(LinearAxis::ALL[n]));
+    let [u, v] = touched.map(|n| super::uppercase_axis_name(LinearAxis::ALL[n]));
     precautions.extend([
         format!(
             "The square lies with its corner towards {u}- and {v}-, its faces along {u} and {v}."

@@ -16,23 +16,23 @@ use trueup_machine::{
     file::{LinearAxis, MachineKind},
 };
 
-use super::{COMPENSATION_OFF_PRECAUTION, Plans, base_plan, unused_clearance_note};
+use super::{COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, unused_clearance_note};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
     refused::ProgramError,
-    travel::{AxisTravel, evenly_spaced, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions, resolve_travels, round_to_micrometres},
 };
 
 /// Repeats of a diagonal.
 const DEFAULT_REPEATS: u32 = 2;
 /// Steps of each axis.
-const STEPS_PER_AXIS: f64 = 10.0;
+const DEFAULT_STEPS_PER_AXIS: f64 = 10.0;
 
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     if machine.kind == MachineKind::Lathe {
         return Err(ProgramError("a body diagonal needs X, Y and Z, and a lathe has no Y".into()));
     }
@@ -82,8 +82,8 @@ fn create_plan(
     let [from, until] = [0, 1]
         .map(|end: usize| [0, 1, 2].map(|n: usize| ordered(n, travels[n].target_range_mm())[end]));
     let length = (0..3).map(|n| (until[n] - from[n]).powi(2)).sum::<f64>().sqrt();
-    let step_mm = options.step_mm.unwrap_or(length / STEPS_PER_AXIS);
-    let shares = evenly_spaced(0.0, length, step_mm).ok_or_else(|| {
+    let step_mm = options.step_mm.unwrap_or(length / DEFAULT_STEPS_PER_AXIS);
+    let shares = evenly_spaced_positions(0.0, length, step_mm).ok_or_else(|| {
         ProgramError(format!("--step-mm {step_mm} does not fit into {length:.0} mm"))
     })?;
     let mm = |n: usize, step: usize| {

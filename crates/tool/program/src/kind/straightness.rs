@@ -6,8 +6,8 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, bidirectional_passes, evenly_spaced_targets_mm,
-    measured_column, plan_each_axis,
+    COMPENSATION_OFF_PRECAUTION, PlansWithNotes, base_plan, bidirectional_passes,
+    evenly_spaced_targets_mm, measured_column_name, plan_each_axis,
 };
 use crate::{
     options::MeasurementOptions,
@@ -27,7 +27,7 @@ const MAX_TARGET_STEP_MM: f64 = 240.0;
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     plan_each_axis(machine, options, create_plan)
 }
 
@@ -48,7 +48,7 @@ fn create_plan(
         .collect();
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.push(Column::Direction(axis.index()));
-    columns.extend(others.iter().map(|other| Column::Empty(measured_column(*other))));
+    columns.extend(others.iter().map(|other| Column::Empty(measured_column_name(*other))));
     let note = "Read the deviation of both other axes, or run it once for each; a column that you do \
                 not fill in, delete.";
     Ok(Plan {

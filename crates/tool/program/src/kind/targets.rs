@@ -5,7 +5,7 @@ use trueup_machine::{
     file::{LinearAxis, MachineKind},
 };
 
-use super::{COMPENSATION_OFF_PRECAUTION, base_plan, linear_move, measured_column};
+use super::{COMPENSATION_OFF_PRECAUTION, base_plan, linear_move, measured_column_name};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
@@ -120,7 +120,7 @@ pub fn plan_target_run(
     let mut columns = vec![Column::Position(index), Column::Direction(index), Column::Feed];
     let filled = inputs.iter().filter(other).cloned();
     columns.extend(std::iter::once("time_s".to_string()).chain(filled).map(Column::Empty));
-    columns.push(Column::Empty(measured_column(run.axis)));
+    columns.push(Column::Empty(measured_column_name(run.axis)));
     let notes = [
         why,
         COMPENSATION_OFF_PRECAUTION,

@@ -11,7 +11,7 @@ use trueup_machine::{
     file::{ElongationSource, MachineKind},
 };
 
-use super::{NON_CONTACT_PRECAUTION, Plans, base_plan, unused_clearance_note};
+use super::{NON_CONTACT_PRECAUTION, PlansWithNotes, base_plan, unused_clearance_note};
 use crate::{
     options::{MeasurementOptions, MeasuringInstrument},
     plan::{Column, Plan, Step},
@@ -19,18 +19,18 @@ use crate::{
 };
 
 /// Two hours at full speed (paper 0).
-const HEATING_DURATION_S: f64 = 7200.0;
+const DEFAULT_WARMUP_DURATION_S: f64 = 7200.0;
 /// From reading to reading, in s.
-const READING_INTERVAL_S: f64 = 60.0;
+const DEFAULT_READING_INTERVAL_S: f64 = 60.0;
 /// The same where the spindle stops for each, in s: rarely enough that it hardly cools.
-const TOUCH_READING_INTERVAL_S: f64 = 600.0;
+const DEFAULT_CONTACT_READING_INTERVAL_S: f64 = 600.0;
 /// How long the spindle runs down before the operator is called, in s.
 const SPINDLE_RUN_DOWN_S: f64 = 20.0;
 
 pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plans, ProgramError> {
+) -> Result<PlansWithNotes, ProgramError> {
     let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
     let rpm = options.spindle_rpm.or(rated).ok_or_else(|| {
         ProgramError(
@@ -39,9 +39,9 @@ pub(crate) fn create_plans(
     })?;
     let is_touching = options.gauge == Some(MeasuringInstrument::Dial);
     let every_s = options.every_s.unwrap_or(if is_touching {
-        TOUCH_READING_INTERVAL_S
+        DEFAULT_CONTACT_READING_INTERVAL_S
     } else {
-        READING_INTERVAL_S
+        DEFAULT_READING_INTERVAL_S
     });
     if every_s <= options.dwell_s {
         return Err(ProgramError(format!(
@@ -49,7 +49,7 @@ pub(crate) fn create_plans(
             options.dwell_s
         )));
     }
-    let times = (options.heat_s.unwrap_or(HEATING_DURATION_S) / every_s).round();
+    let times = (options.heat_s.unwrap_or(DEFAULT_WARMUP_DURATION_S) / every_s).round();
     if !(1.0..=9999.0).contains(&times) {
         return Err(ProgramError(format!(
             "--heat-s must be 1 to 9999 times --every-s ({every_s}), not {times}"

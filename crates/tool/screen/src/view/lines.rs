@@ -5,8 +5,8 @@ use ratatui::{
     text::{Line, Span},
 };
 use trueup_client::state_text::quality_name;
-use trueup_core::cnc::Quality;
-use trueup_link::receiver::Counters;
+use trueup_core::cnc::OffsetQuality;
+use trueup_link::receiver::FrameCounters;
 
 use super::Theme;
 use crate::state::{MAX_GAUGE_AGE_S, ModelSource, ScreenState};
@@ -71,17 +71,17 @@ fn quality_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'s
             state.output_age_s().map(|age_s| format!(" for {age_s:.0} s")).unwrap_or_default();
         return vec![Line::styled(format!("NO OFFSETS COME{age}"), theme.error_style())];
     };
-    let waits = state.awaited_command();
+    let waits = state.pending_action();
     let (meaning, is_good) = match (output.quality, waits) {
-        (Quality::Fault, Some("engage")) => ("for Engage: off at the CNC, then on", true),
-        (Quality::Fault, Some(_)) => ("for Confirm at the CNC: see below", true),
-        (Quality::Off, _) => ("not engaged: the offset is 0", true),
-        (Quality::Live, _) => ("every input is fresh", true),
-        (Quality::TemperatureModel, _) => ("no sensor: by its temperature model", false),
-        (Quality::WarmUpModel, _) => ("no sensor: by its warm-up model", false),
-        (Quality::Hold, _) => ("an input is lost: the last offset is held", false),
-        (Quality::RampingOut, _) => ("an input is lost: on the way to 0", false),
-        (Quality::Fault, None) => ("no offset can be given", false),
+        (OffsetQuality::Fault, Some("engage")) => ("for Engage: off at the CNC, then on", true),
+        (OffsetQuality::Fault, Some(_)) => ("for Confirm at the CNC: see below", true),
+        (OffsetQuality::Off, _) => ("not engaged: the offset is 0", true),
+        (OffsetQuality::Live, _) => ("every input is fresh", true),
+        (OffsetQuality::TemperatureModel, _) => ("no sensor: by its temperature model", false),
+        (OffsetQuality::WarmUpModel, _) => ("no sensor: by its warm-up model", false),
+        (OffsetQuality::Hold, _) => ("an input is lost: the last offset is held", false),
+        (OffsetQuality::RampingOut, _) => ("an input is lost: on the way to 0", false),
+        (OffsetQuality::Fault, None) => ("no offset can be given", false),
     };
     let word = if waits.is_some() { "waiting" } else { quality_name(output.quality) };
     let age = match output.age_ms {
@@ -264,7 +264,7 @@ fn condition_lines(state: &ScreenState, width: usize) -> Vec<Line<'static>> {
 }
 
 fn link_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
-    let Counters { malformed, crc_errors, sequence_errors, lost, .. } = state.counters();
+    let FrameCounters { malformed, crc_errors, sequence_errors, lost, .. } = state.counters();
     let malformed = malformed.saturating_add(state.malformed_lines);
     let text = format!(
         "Line  {:.0} frames/s  errors: crc {crc_errors}, sequence {sequence_errors}, malformed \

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use ratatui::{Terminal, backend::TestBackend, style::Color};
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     cnc::Control,
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     thermometer::RawReading,
@@ -49,7 +49,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
             let control = frames::encode_control(control, (now / 20) as u8);
             node.receive(NodeLine::Can, &control).expect("in order");
         }
-        let input = Input {
+        let input = TickInput {
             codes: Some(&codes),
             speed: Some(Rpm(24_000)),
             temperatures: Some(&temperatures),

@@ -10,7 +10,7 @@ use std::{
 
 use rumqttc::{Client, Event, LastWill, MqttOptions, Outgoing, Packet, Publish, QoS};
 
-use crate::{broker::BrokerConfig, sparkplug::node::Message, spool::segment::SpoolRecord};
+use crate::{broker::BrokerConfig, sparkplug::node::MqttMessage, spool::segment::SpoolRecord};
 
 /// A broker that is silent for one and a half of these is given up, and gives this publisher up.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
@@ -21,7 +21,7 @@ const REQUEST_QUEUE_CAPACITY: usize = 8_192;
 /// Messages at least once that the library has on their way at most.
 const MAX_INFLIGHT: u16 = 256;
 /// Maximum bytes of a message that comes, and of one that goes.
-const MAX_PACKET_SIZES: [usize; 2] = [64 << 10, 2 << 20];
+const MAX_PACKET_BYTES: [usize; 2] = [64 << 10, 2 << 20];
 
 /// An event of the connection.
 pub enum ConnectionEvent {
@@ -52,11 +52,11 @@ pub(crate) struct Connection {
 
 impl Connection {
     /// Begins a connection.
-    pub fn open(broker: &BrokerConfig, id: &str, will: &Message) -> Self {
+    pub fn open(broker: &BrokerConfig, id: &str, will: &MqttMessage) -> Self {
         let mut options = MqttOptions::new(id, broker.host.as_str(), broker.port);
         options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_inflight(MAX_INFLIGHT);
         options.set_transport(broker.transport());
-        let [incoming, outgoing] = MAX_PACKET_SIZES;
+        let [incoming, outgoing] = MAX_PACKET_BYTES;
         options.set_max_packet_size(incoming, outgoing);
         let payload = will.payload.clone();
         options.set_last_will(LastWill::new(&will.topic, payload, QoS::AtLeastOnce, false));

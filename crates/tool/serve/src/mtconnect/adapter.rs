@@ -17,7 +17,7 @@ use super::shdr::ShdrEncoder;
 use crate::{
     clock,
     shared::SharedState,
-    snapshot::{BridgeEvent, Snapshot},
+    snapshot::{BridgeEvent, BridgeSnapshot},
 };
 
 /// Agents at a time; one more is closed at once.
@@ -25,7 +25,7 @@ const MAX_AGENTS: usize = 16;
 /// Changes that may wait for an agent: of about three seconds.
 const MAX_QUEUED_CHANGES: usize = 64;
 /// An agent checks at least this often whether the adapter lives, in ms.
-const HEARTBEAT_MS: u32 = 10_000;
+const HEARTBEAT_PERIOD_MS: u32 = 10_000;
 /// How long an agent may take to take a line.
 const AGENT_WRITE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The longest line of an agent, in bytes.
@@ -55,7 +55,12 @@ impl Adapter {
     }
 
     /// Sends what has changed to every agent.
-    pub fn update(&self, bridges: &[Snapshot], events: &[(usize, BridgeEvent)], time_ms: u64) {
+    pub fn update(
+        &self,
+        bridges: &[BridgeSnapshot],
+        events: &[(usize, BridgeEvent)],
+        time_ms: u64,
+    ) {
         let mut state = self.lock_state();
         let changes = state.lines.encode_changes(bridges, events, time_ms);
         if !changes.is_empty() {
@@ -159,7 +164,7 @@ impl PingResponder {
                 return;
             }
             let is_ping = line.trim_ascii() == b"* PING";
-            let pong = format!("* PONG {HEARTBEAT_MS}\n");
+            let pong = format!("* PONG {HEARTBEAT_PERIOD_MS}\n");
             if is_ping && self.0.try_send(pong.into()).is_err() {
                 return;
             }

@@ -110,11 +110,11 @@ fn escape_xml(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{mtconnect::shdr::ShdrEncoder, snapshot::Snapshot};
+    use crate::{mtconnect::shdr::ShdrEncoder, snapshot::BridgeSnapshot};
 
     #[test]
     fn each_key_of_a_line_is_a_data_item_and_each_data_item_is_sent() {
-        let both = [Snapshot::default(), Snapshot::default()];
+        let both = [BridgeSnapshot::default(), BridgeSnapshot::default()];
         let mut lines = ShdrEncoder::default();
         lines.encode_changes(&both, &[], 0);
         let text = lines.encode_all(0);

@@ -7,13 +7,13 @@ use trueup_output::escape::escape_line;
 
 use crate::{
     clock::format_utc,
-    snapshot::{BridgeEvent, NO_OFFSETS_REASON, Snapshot},
+    snapshot::{BridgeEvent, BridgeSnapshot, NO_OFFSETS_REASON},
 };
 
 /// Stands for a value that is not known.
 const UNAVAILABLE: &str = "UNAVAILABLE";
 /// The longest text of a line, in characters.
-const MAX_TEXT_LENGTH: usize = 200;
+const MAX_TEXT_CHARS: usize = 200;
 
 /// The knowledge of an agent about a bridge: the values of its data items, and the codes of its conditions.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -40,7 +40,7 @@ impl ShdrEncoder {
     /// Returns the lines of what has changed since the last call, and of what has happened.
     pub(crate) fn encode_changes(
         &mut self,
-        bridges: &[Snapshot],
+        bridges: &[BridgeSnapshot],
         events: &[(usize, BridgeEvent)],
         time_ms: u64,
     ) -> String {
@@ -63,7 +63,7 @@ impl ShdrEncoder {
             }
         }
         for (place, event) in events {
-            let (code, about) = (event.code, sanitise(&event.about));
+            let (code, about) = (event.code, sanitise_field(&event.about));
             let about = if about.is_empty() { code.to_owned() } else { about };
             writeln!(lines, "{stamp}|b{}_message|{code}|{about}", place + 1).ok();
         }
@@ -114,7 +114,7 @@ fn encode_condition_change(stamp: &str, before: Option<&Condition>, now: &Condit
     }
 }
 
-fn published_state(of: &Snapshot, number: usize) -> PublishedState {
+fn published_state(of: &BridgeSnapshot, number: usize) -> PublishedState {
     let key = |name: &str| format!("b{number}_{name}");
     let shown = |value: Option<f64>, decimals: usize| {
         value.map_or(UNAVAILABLE.into(), |value| format!("{value:.decimals$}"))
@@ -133,12 +133,13 @@ fn published_state(of: &Snapshot, number: usize) -> PublishedState {
     let words = |words: &[&'static str]| {
         let coded = |word: &&'static str| {
             let text = find_remedies(&[*word]).first().map_or(*word, |(_, text)| *text);
-            ((*word).to_owned(), sanitise(text))
+            ((*word).to_owned(), sanitise_field(text))
         };
         of.has_status.then(|| words.iter().map(coded).collect())
     };
     let why = of.why.as_deref().unwrap_or(NO_OFFSETS_REASON);
-    let line = if of.is_up { Vec::new() } else { vec![("bridge-down".into(), sanitise(why))] };
+    let line =
+        if of.is_up { Vec::new() } else { vec![("bridge-down".into(), sanitise_field(why))] };
     let condition = |name, level, codes| Condition { key: key(name), level, codes };
     let conditions = vec![
         condition("faults", "FAULT", words(&of.faults)),
@@ -149,22 +150,22 @@ fn published_state(of: &Snapshot, number: usize) -> PublishedState {
 }
 
 /// Returns a text that cannot be taken for the next field or line.
-fn sanitise(text: &str) -> String {
+fn sanitise_field(text: &str) -> String {
     let text = escape_line(text).replace('|', "/");
-    text.chars().take(MAX_TEXT_LENGTH).collect()
+    text.chars().take(MAX_TEXT_CHARS).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn up() -> Snapshot {
-        Snapshot {
+    fn up() -> BridgeSnapshot {
+        BridgeSnapshot {
             is_up: true,
             has_status: true,
             offset_um: [Some(1.25), Some(0.0), None],
             faults: vec!["store", "cnc-lost"],
-            ..Snapshot::default()
+            ..BridgeSnapshot::default()
         }
     }
 
@@ -180,14 +181,14 @@ mod tests {
             first.contains("|b1_faults|FAULT|store|||") && first.contains("|b1_state|NORMAL||||\n")
         );
         assert_eq!(lines.encode_changes(&[up()], &[], 1), "");
-        let cleared = Snapshot { faults: vec!["cnc-lost"], ..up() };
+        let cleared = BridgeSnapshot { faults: vec!["cnc-lost"], ..up() };
         let line = "1970-01-01T00:00:00.002Z|b1_faults|NORMAL|store|||\n";
         assert_eq!(lines.encode_changes(&[cleared], &[], 2), line);
-        let unknown = Snapshot { has_status: false, ..up() };
+        let unknown = BridgeSnapshot { has_status: false, ..up() };
         let mut others = ShdrEncoder::default();
         let first = others.encode_changes(&[unknown], &[], 2);
         assert!(first.contains("|b1_faults|UNAVAILABLE||||\n"), "{first}");
-        let none = Snapshot { faults: Vec::new(), ..up() };
+        let none = BridgeSnapshot { faults: Vec::new(), ..up() };
         let line = "1970-01-01T00:00:00.003Z|b1_faults|NORMAL||||\n";
         assert_eq!(lines.encode_changes(&[none], &[], 3), line);
     }
@@ -196,7 +197,7 @@ mod tests {
     fn a_bridge_that_is_lost_is_unavailable_throughout_and_says_why_in_one_field() {
         let mut lines = ShdrEncoder::default();
         lines.encode_changes(&[up()], &[], 0);
-        let down = Snapshot { why: Some("a|b\nc".into()), ..Snapshot::default() };
+        let down = BridgeSnapshot { why: Some("a|b\nc".into()), ..BridgeSnapshot::default() };
         let changes =
             lines.encode_changes(&[down], &[(0, BridgeEvent::new("bridge-down", "a|b\nc"))], 1);
         assert!(changes.contains("|b1_avail|UNAVAILABLE|b1_offset_x|UNAVAILABLE"), "{changes}");

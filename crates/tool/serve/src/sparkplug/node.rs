@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     metrics::{FLAGS_METRIC, Metric, MetricValue, bridge_metrics},
-    snapshot::Snapshot,
+    snapshot::BridgeSnapshot,
 };
 
 /// Number of aliases of each device; the node has the first of them.
@@ -30,7 +30,7 @@ pub(crate) const PUBLISHER_METRIC: &str = "Properties/Publisher";
 
 /// A message to be published.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Message {
+pub struct MqttMessage {
     /// Where.
     pub topic: String,
     /// What.
@@ -102,13 +102,13 @@ impl EdgeNode {
 
     /// Returns the will of the connection, and the message before it is ended on purpose.
     #[must_use]
-    pub(crate) fn death_message(&self, time_ms: u64) -> Message {
+    pub(crate) fn death_message(&self, time_ms: u64) -> MqttMessage {
         let metrics = vec![self.bd_seq_metric(time_ms)];
         self.message("NDEATH", None, encode_payload(metrics, time_ms, None, None))
     }
 
-    fn message(&self, kind: &str, device: Option<&str>, payload: Vec<u8>) -> Message {
-        Message { topic: topic(kind, &self.name, device), payload, is_retained: false }
+    fn message(&self, kind: &str, device: Option<&str>, payload: Vec<u8>) -> MqttMessage {
+        MqttMessage { topic: topic(kind, &self.name, device), payload, is_retained: false }
     }
 
     fn sequenced_message(
@@ -117,7 +117,7 @@ impl EdgeNode {
         device: Option<&str>,
         metrics: Vec<payload::Metric>,
         time_ms: u64,
-    ) -> Message {
+    ) -> MqttMessage {
         let seq = self.seq;
         self.seq = self.seq.wrapping_add(1);
         self.message(kind, device, encode_payload(metrics, time_ms, Some(seq), None))
@@ -127,9 +127,9 @@ impl EdgeNode {
     pub(crate) fn rebirth(
         &mut self,
         own: NodeStatistics,
-        bridges: &[Snapshot],
+        bridges: &[BridgeSnapshot],
         time_ms: u64,
-    ) -> Vec<Message> {
+    ) -> Vec<MqttMessage> {
         self.reset_births();
         self.update(own, bridges, time_ms)
     }
@@ -138,9 +138,9 @@ impl EdgeNode {
     pub fn update(
         &mut self,
         own: NodeStatistics,
-        bridges: &[Snapshot],
+        bridges: &[BridgeSnapshot],
         time_ms: u64,
-    ) -> Vec<Message> {
+    ) -> Vec<MqttMessage> {
         let mut messages = Vec::new();
         let metrics = self.node_metrics(own);
         match self.own.take() {
@@ -162,7 +162,7 @@ impl EdgeNode {
 
     /// Returns whether anything but numbers, counts and flags of offsets differs from what was last sent.
     #[must_use]
-    pub(crate) fn has_state_change(&self, bridges: &[Snapshot]) -> bool {
+    pub(crate) fn has_state_change(&self, bridges: &[BridgeSnapshot]) -> bool {
         let known = self.devices.iter().map(|device| &device.metrics);
         bridges.len() != self.devices.len()
             || known.zip(bridges).any(|(previous, of)| {
@@ -192,7 +192,7 @@ impl EdgeNode {
         ]
     }
 
-    fn birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
+    fn birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> MqttMessage {
         self.seq = 0;
         let mut all = vec![self.bd_seq_metric(time_ms)];
         all.extend(metrics.iter().zip(1..).map(|(declared, alias)| {
@@ -207,9 +207,9 @@ impl EdgeNode {
     fn update_device(
         &mut self,
         place: usize,
-        of: &Snapshot,
+        of: &BridgeSnapshot,
         time_ms: u64,
-        messages: &mut Vec<Message>,
+        messages: &mut Vec<MqttMessage>,
     ) {
         let Some(known) = self.devices.get_mut(place) else { return };
         let Device { id: old, metrics: reported } = std::mem::take(known);
@@ -243,13 +243,17 @@ impl EdgeNode {
     }
 
     /// Returns the whole state of a device, for those who subscribe later and are no Sparkplug host.
-    fn retained_state_message(&self, id: &str, metrics: &[Metric], time_ms: u64) -> Message {
+    fn retained_state_message(&self, id: &str, metrics: &[Metric], time_ms: u64) -> MqttMessage {
         let metrics = metrics
             .iter()
             .map(|metric| named_metric(metric.name, &metric.value, time_ms))
             .collect();
         let topic = non_sparkplug_topic(&self.name, Some(id), "state");
-        Message { topic, payload: encode_payload(metrics, time_ms, None, None), is_retained: true }
+        MqttMessage {
+            topic,
+            payload: encode_payload(metrics, time_ms, None, None),
+            is_retained: true,
+        }
     }
 }
 

@@ -18,9 +18,9 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 /// Begins a record: where one is damaged, the next one is searched for by it.
 pub(crate) const RECORD_MAGIC: [u8; 4] = *b"tqR1";
 /// Bytes before the topic's length.
-const HEADER_BYTES: usize = 24;
+const RECORD_HEADER_BYTES: usize = 24;
 /// Bytes around topic and payload.
-const RECORD_OVERHEAD_BYTES: usize = HEADER_BYTES + 2 + 4;
+const RECORD_OVERHEAD_BYTES: usize = RECORD_HEADER_BYTES + 2 + 4;
 /// Maximum bytes of topic and payload: a length above it is a damaged one.
 const MAX_BODY_BYTES: usize = 1 << 20;
 /// The checksum of all that a spool keeps.
@@ -89,7 +89,7 @@ pub fn decode(file: u64, bytes: &[u8]) -> Option<(SpoolRecord, usize)> {
     let rest = bytes.strip_prefix(&RECORD_MAGIC)?;
     let (length, rest) = rest.split_first_chunk()?;
     let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
-    let whole = HEADER_BYTES + length.checked_add(4)?;
+    let whole = RECORD_HEADER_BYTES + length.checked_add(4)?;
     if !(2..=MAX_BODY_BYTES + 2).contains(&length) || bytes.len() < whole {
         return None;
     }

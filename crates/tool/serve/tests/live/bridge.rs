@@ -14,7 +14,7 @@ use std::{
 };
 
 use trueup_core::{
-    bridge::Input,
+    bridge::TickInput,
     cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
     dimensions::CODES_PER_TICK,
     units::{AdcCode, Position, Rpm},
@@ -105,7 +105,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
             control += 1;
         }
         let speed = Some(Rpm(24_000));
-        let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
+        let sent = node.tick(1, TickInput { codes: Some(&codes), speed, ..TickInput::default() });
         for frame in sent.into_iter().chain(node.service()) {
             port.send(&frame);
         }

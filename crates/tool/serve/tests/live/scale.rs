@@ -17,7 +17,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_client::connection::ConnectionEvent;
 use trueup_core::{
-    cnc::{Output, Quality},
+    cnc::{OffsetQuality, Output},
     units::Nanometres,
 };
 use trueup_link::{
@@ -25,13 +25,13 @@ use trueup_link::{
     frames,
     layout::SDO_RESPONSE_ID,
     slcan::Event,
-    status::{Item, StateBits, Status, encode},
+    status::{StateBits, Status, StatusItem, encode},
 };
 use trueup_serve::{
     bridge::BridgeMonitor,
     broker::{self, TlsFiles},
     clock,
-    mqtt::{self, PublisherConfig},
+    mqtt::{self, MqttPublisherConfig},
     mtconnect::adapter::Adapter,
     recorder::Recorder,
     shared::SharedState,
@@ -59,15 +59,15 @@ fn speak(bridge: &mut BridgeMonitor, place: usize, turn: usize, now: Instant) {
     };
     let nm = ((place + turn) % 1_000) as i32 * 10;
     let offset = Some([nm, -nm, 2 * nm].map(Nanometres));
-    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+    let output = Output { offset, quality: OffsetQuality::Live, ..Output::default() };
     let counter = turn as u8;
     deliver(bridge, frames::encode_offset_xy(&output, counter));
     deliver(bridge, frames::encode_offset_z(&output, counter));
     let centi_c = [Some(2_000 + ((place + turn) % 100) as i16), Some(2_100)];
     let item = match turn % 3 {
-        0 => Item::State(StateBits::default()),
-        1 => Item::Temperatures { pair: (turn / 3 % 4) as u8, centi_c },
-        _ => Item::Calibration(7),
+        0 => StatusItem::State(StateBits::default()),
+        1 => StatusItem::Temperatures { pair: (turn / 3 % 4) as u8, centi_c },
+        _ => StatusItem::Calibration(7),
     };
     deliver(bridge, encode(&Status { last_refused: Default::default(), item }, counter));
     if let Some(request) = bridge.take_due_request(now) {
@@ -142,7 +142,7 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
             thread::sleep(SAID.saturating_sub(began.elapsed()));
         }
     });
-    let publisher = PublisherConfig {
+    let publisher = MqttPublisherConfig {
         broker: broker::BrokerConfig::from_url(&url, None, TlsFiles::default())?,
         name: "shop".into(),
         id: "trueup-shop".into(),

@@ -20,12 +20,12 @@ fn with_sensor() -> Machine {
     )
 }
 
-fn replay_on(machine: &Machine, text: &str) -> Result<Replay, BadInput> {
+fn replay_on(machine: &Machine, text: &str) -> Result<Replay, InputFileError> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"))?;
     Replay::new(&run, machine, DEFAULT_ROW_DURATION_S)
 }
 
-fn replay(text: &str) -> Result<Replay, BadInput> {
+fn replay(text: &str) -> Result<Replay, InputFileError> {
     replay_on(&with_sensor(), text)
 }
 
@@ -104,5 +104,5 @@ fn an_axis_heads_where_the_run_says_or_else_where_it_moves() {
     assert_eq!(replay.snapshot_at(0.0).rotary, None, "one angle is not yet known");
     // In the order of the head's axes: C, then A.
     let angles = [90_000_000, -33_333_500].map(MicroDegrees);
-    assert_eq!(replay.snapshot_at(2.0).rotary, Some(Rotary { angles }));
+    assert_eq!(replay.snapshot_at(2.0).rotary, Some(RotaryAxisAngles { angles }));
 }

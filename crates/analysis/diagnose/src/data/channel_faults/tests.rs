@@ -2,7 +2,7 @@ use std::path::Path;
 
 use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
-use trueup_measured_data::find_file as measured;
+use trueup_measured_data::find_measured_file as measured;
 
 use super::*;
 

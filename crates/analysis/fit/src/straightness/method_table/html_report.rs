@@ -1,18 +1,20 @@
 //! The table as a page: figures by curve and diagonal, and the corners of straight lines as the jumps of speed
 //! that they are.
 
-use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
+use trueup_page::{
+    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+};
 
-use super::{CurveMethod, MethodResult, MethodTable, TableEntry};
+use super::{CurveMethod, MethodResult, MethodTable, MethodTableEntry};
 
 /// The ways that are drawn: the correction as the bridge has it, and the two that the paper holds it against.
-const PLOTTED_METHODS: [(CurveMethod, Colour); 3] = [
-    (CurveMethod::Lines, Colour::Before),
-    (CurveMethod::Polynomial, Colour::Measured),
-    (CurveMethod::LeastSquares, Colour::After),
+const PLOTTED_METHODS: [(CurveMethod, ColourRole); 3] = [
+    (CurveMethod::Lines, ColourRole::Before),
+    (CurveMethod::Polynomial, ColourRole::Measured),
+    (CurveMethod::LeastSquares, ColourRole::After),
 ];
 
-pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
+pub(super) fn render_html(table: &MethodTable, origin: &Provenance) -> String {
     let mut page = Page::new("Ways to a straightness curve");
     page.add_paragraph(&format!(
         "The residual of each method, and the speed jumps and accelerations that it requires. \
@@ -43,7 +45,7 @@ pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
     page.to_html()
 }
 
-fn residual_table(entry: &TableEntry) -> HtmlTable {
+fn residual_table(entry: &MethodTableEntry) -> HtmlTable {
     let mut table = HtmlTable::new(&[
         "",
         "coefficients",
@@ -87,10 +89,10 @@ fn residual_table(entry: &TableEntry) -> HtmlTable {
     table
 }
 
-fn speed_chart(entry: &TableEntry) -> Chart {
+fn speed_chart(entry: &MethodTableEntry) -> Chart {
     let series = PLOTTED_METHODS.into_iter().filter_map(|(way, colour)| {
         let row: &MethodResult = entry.rows.iter().find(|row| row.way == way)?;
-        Some(Series::line(&way.to_string(), colour, row.speed.clone()))
+        Some(ChartSeries::line(&way.to_string(), colour, row.speed.clone()))
     });
     Chart {
         title: format!("The correction's own speed: {}", entry.name),

@@ -5,7 +5,7 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
-    file::writer::Edit,
+    file::writer::MachineFileEdit,
     model::{ReferenceModel, RowInputs},
 };
 
@@ -41,7 +41,7 @@ pub fn sweeps(
 }
 
 /// Returns the machine file that `edit` makes of one without an axis.
-pub fn machine_of(edit: &Edit) -> Machine {
+pub fn machine_of(edit: &MachineFileEdit) -> Machine {
     let source = "[machine]\nname = \"tested\"\nkind = \"3-axis\"\n";
     let path = Path::new("m.toml");
     let written = edit.apply(source, path).expect("the fit writes a machine file");
@@ -50,7 +50,7 @@ pub fn machine_of(edit: &Edit) -> Machine {
 
 /// Returns what the reference model, which `trueup predict` prints, leaves of `measured_dx_um` on the rows
 /// of the named runs.
-pub fn left_by_model(run: &RunFile, edit: &Edit, runs: &[f64]) -> Vec<f64> {
+pub fn left_by_model(run: &RunFile, edit: &MachineFileEdit, runs: &[f64]) -> Vec<f64> {
     let machine = machine_of(edit);
     let mut model = ReferenceModel::new(&machine);
     let column = |name| run.column(name).expect("the run has it");

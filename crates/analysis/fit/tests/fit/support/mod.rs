@@ -7,7 +7,7 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use trueup_fit::Report;
+use trueup_fit::FitReport;
 use trueup_machine::{
     Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, predict::Predictor,
 };
@@ -62,7 +62,7 @@ pub fn machine(text: &str) -> Machine {
 }
 
 /// Returns the machine file `text` with what was fitted.
-pub fn applied(report: &Report, text: &str) -> Machine {
+pub fn applied(report: &FitReport, text: &str) -> Machine {
     let text = report.edit.apply(text, Path::new("m.toml")).expect("loads");
     machine(&text)
 }
@@ -90,7 +90,7 @@ pub fn predicted_rms(
 }
 
 /// Asserts that the machine file with the fit predicts with the residual that the report claims.
-pub fn assert_round_trip(report: &Report, text: &str, run: &RunFile, quantity: usize) {
+pub fn assert_round_trip(report: &FitReport, text: &str, run: &RunFile, quantity: usize) {
     let aside: Vec<usize> = report.excluded.iter().map(|row| row.place.line).collect();
     let column = run.columns()[0].name.clone();
     let is_retained = |row: usize| !aside.contains(&run.value_location(row, &column).line);
@@ -100,7 +100,7 @@ pub fn assert_round_trip(report: &Report, text: &str, run: &RunFile, quantity: u
 }
 
 /// Asserts that the parameter's interval holds the truth.
-pub fn assert_holds(report: &Report, name: &str, truth: f64) {
+pub fn assert_holds(report: &FitReport, name: &str, truth: f64) {
     let parameter = report.parameter(name).unwrap_or_else(|| panic!("{name} of {report:?}"));
     let [low, high] = parameter.ci95.unwrap_or_else(|| panic!("{name} was fitted"));
     // A hair wider: one interval in twenty need not hold it, and the seeds are what they are.

@@ -175,13 +175,13 @@ pub(super) fn compute_lag(
     cycles: &[&ServoCycle],
     requested_um: &[[f64; 3]],
 ) -> Result<LagStatistics> {
-    const WINDOW_CYCLES: usize = 2_000;
+    const LAG_WINDOW_CYCLES: usize = 2_000;
     const MIN_OFFSET_RATE_UM_PER_S: f64 = 10.0;
     let requested_um = requested_um.iter().map(|um| um[LAG_AXIS]);
     let both: Vec<(&ServoCycle, f64)> = cycles.iter().copied().zip(requested_um).collect();
     let (mean_ms, _) = estimate_delay(&both).context("the diagonal is too short")?;
     let worst_ms = both
-        .chunks(WINDOW_CYCLES)
+        .chunks(LAG_WINDOW_CYCLES)
         .filter_map(estimate_delay)
         .filter(|(_, speed)| *speed > MIN_OFFSET_RATE_UM_PER_S)
         .map(|(ms, _)| ms)
@@ -205,7 +205,7 @@ pub(super) fn compute_lag(
 }
 
 /// Returns the largest change of an external offset from one servo cycle to the next.
-pub(super) fn largest_step_um(cycles: &[ServoCycle]) -> f64 {
+pub(super) fn max_offset_step_um(cycles: &[ServoCycle]) -> f64 {
     cycles
         .windows(2)
         .filter(|pair| pair[1].number == pair[0].number + 1)

@@ -52,7 +52,7 @@ fn live(rig: &mut Rig, ms: u32, screw: i32, other: i32) -> Output {
         let mut raw = [RawReading::NONE; CHANNEL_COUNT];
         (raw[3], raw[5]) = (RawReading(screw * 256), RawReading(other * 256));
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
     rig.last
@@ -73,9 +73,9 @@ fn warming() -> Rig {
 #[test]
 fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
     let mut without = warming();
-    let memory = without.bridge.retained_heat(&without.state);
+    let memory = without.bridge.retained_lags(&without.state);
     let mut with = Rig::new(lagging());
-    with.bridge.restore_heat(&mut with.state, &memory, 0);
+    with.bridge.restore_lags(&mut with.state, &memory, 0);
     assert!(!with.state.is_heat_unknown());
     for seconds in [1, 10, 30] {
         let (a, b) = (
@@ -91,15 +91,15 @@ fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
 fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() {
     for off_s in [1, 20, 90, 3_600] {
         let mut without = warming();
-        let memory = without.bridge.retained_heat(&without.state);
+        let memory = without.bridge.retained_lags(&without.state);
         // The screw stays at 21 °C, and the machine is seen again at once.
         let mut with = Rig::new(lagging());
-        with.bridge.restore_heat(&mut with.state, &memory, off_s * 10);
+        with.bridge.restore_lags(&mut with.state, &memory, off_s * 10);
         assert!(!with.state.is_heat_unknown());
         // A cut before any thermometer is received: what was missed stays missed.
-        let memory = with.bridge.retained_heat(&with.state);
+        let memory = with.bridge.retained_lags(&with.state);
         let mut again = Rig::new(lagging());
-        again.bridge.restore_heat(&mut again.state, &memory, 0);
+        again.bridge.restore_lags(&mut again.state, &memory, 0);
         live(&mut without, off_s.min(300) * 1_000, 21, 20);
         let expected = x_nm(&live(&mut without, 1_000, 21, 20));
         for rig in [&mut with, &mut again] {
@@ -113,9 +113,9 @@ fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() 
 #[test]
 fn after_a_power_cut_a_machine_that_has_cooled_is_as_a_lag_of_what_is_seen_makes_it() {
     let rig = warming();
-    let memory = rig.bridge.retained_heat(&rig.state);
+    let memory = rig.bridge.retained_lags(&rig.state);
     let mut rig = Rig::new(lagging());
-    rig.bridge.restore_heat(&mut rig.state, &memory, 400);
+    rig.bridge.restore_lags(&mut rig.state, &memory, 400);
     let output = live(&mut rig, 1_000, 20, 20);
     // 100 µm/K · (1 − e^(−20/40)) · e^(−41/40): a second is seen.
     let expected = -100_000.0 * -(-20.0_f64 / 40.0).exp_m1() * (-41.0_f64 / 40.0).exp();
@@ -125,30 +125,30 @@ fn after_a_power_cut_a_machine_that_has_cooled_is_as_a_lag_of_what_is_seen_makes
 #[test]
 fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_no_longer_matters() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
     assert!(rig.state.is_heat_unknown());
     // 400 µm are 1 µm after nine half-lives of 27.7 s: 250 s.
     live(&mut rig, 247_000, 21, 20);
     assert!(rig.state.is_heat_unknown());
     let output = live(&mut rig, 4_000, 21, 20);
-    assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -100_000));
+    assert_eq!((output.quality, x_nm(&output)), (OffsetQuality::Live, -100_000));
 }
 
 #[test]
 fn a_machine_whose_thermometers_agree_is_cold_and_so_is_one_that_the_operator_calls_so() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 21);
-    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.quality, OffsetQuality::Live);
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 1_000, 21, 20);
     assert!(rig.state.is_heat_unknown());
     rig.bridge.confirm_cold(&mut rig.state);
-    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
+    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -156,12 +156,12 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
     let mut machine = lagging();
     machine.thermometers[5] = None;
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 2_000, 21, 21);
     assert!(rig.state.is_heat_unknown());
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     warm(&mut rig, 2_000, Some(21), 1_000);
     assert!(rig.state.is_heat_unknown(), "channel 5 says nothing");
 }
@@ -170,7 +170,7 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
 fn a_machine_without_a_law_that_remembers_needs_no_heat() {
     for machine in [expanding(), calibration()] {
         let mut rig = Rig::new(machine);
-        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+        rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
         assert!(!rig.state.is_heat_unknown());
     }
 }
@@ -178,7 +178,7 @@ fn a_machine_without_a_law_that_remembers_needs_no_heat() {
 #[test]
 fn heat_is_known_again_by_channel_and_time_constant_alone() {
     let rig = warming();
-    let memory = rig.bridge.retained_heat(&rig.state);
+    let memory = rig.bridge.retained_lags(&rig.state);
     for (change, is_known) in [(0, true), (1, false), (2, false)] {
         let mut other = lagging();
         other.limits.hold_ms = 77;
@@ -189,7 +189,7 @@ fn heat_is_known_again_by_channel_and_time_constant_alone() {
             _ => thermal.smoothing.0 += 1,
         }
         let mut rig = Rig::new(other);
-        rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+        rig.bridge.restore_lags(&mut rig.state, &memory, 0);
         assert_eq!(!rig.state.is_heat_unknown(), is_known, "{change}");
     }
 }
@@ -224,27 +224,27 @@ fn a_term_of_a_temperature_is_known_where_the_heat_is() {
     let machine = by_term(lagging(), SmoothingFactor(10_724_000));
     let mut rig = Rig::new(machine);
     let output = live(&mut rig, 1_000, 21, 20);
-    assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -1_000));
+    assert_eq!((output.quality, x_nm(&output)), (OffsetQuality::Live, -1_000));
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
 }
 
 #[test]
 fn the_growth_of_a_spindle_that_lags_is_not_known_where_its_heat_is_not() {
     let mut rig = Rig::new(lagging_spindle());
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
     // One that does not lag grows with its thermometer, whatever was before.
     let mut machine = lagging_spindle();
     let growth = machine.spindle.temperature.as_mut().expect("it has one");
     (growth.smoothing, growth.smoothing_falling) =
         (SmoothingFactor::NO_LAG, SmoothingFactor::NO_LAG);
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
-    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
+    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -263,7 +263,7 @@ fn a_fall_back_that_remembers_is_dead_as_long_as_its_heat_is_not_known() {
         hold(&mut rig, 1_300, 1_050, Some(22));
         assert!(!rig.bridge.has_fallback_failed(&rig.state), "known from the start");
         let mut rig = Rig::new(machine);
-        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+        rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
         hold(&mut rig, 1_300, 1_050, Some(22));
         assert!(rig.state.is_heat_unknown() && rig.bridge.has_fallback_failed(&rig.state));
         rig.bridge.confirm_cold(&mut rig.state);
@@ -304,10 +304,10 @@ fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
         machine.thermometers[5] = machine.thermometers[3];
         let mut rig = Rig::new(machine);
         live(&mut rig, 1_000, 21, 21);
-        let memory = rig.bridge.retained_heat(&rig.state);
+        let memory = rig.bridge.retained_lags(&rig.state);
         assert_eq!(memory.lags.iter().any(Option::is_some), is_retained);
         let mut rig = Rig::new(machine);
-        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+        rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
         assert_eq!(rig.state.is_heat_unknown(), is_retained);
     }
 }
@@ -321,9 +321,9 @@ fn a_term_over_time_is_kept_over_a_reset() {
     term.effect = Effect::Time { smoothing: SmoothingFactor(10_724_000), amplitude };
     let mut rig = Rig::new(machine);
     let before = x_nm(&live(&mut rig, 20_000, 21, 21));
-    let memory = rig.bridge.retained_heat(&rig.state);
+    let memory = rig.bridge.retained_lags(&rig.state);
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+    rig.bridge.restore_lags(&mut rig.state, &memory, 0);
     let after = x_nm(&live(&mut rig, 200, 21, 21));
     assert!((after - before).abs() <= 50 && before < -4_000, "{before}, then {after}");
 }
@@ -332,7 +332,7 @@ fn a_term_over_time_is_kept_over_a_reset() {
 /// without what was kept.
 #[test]
 fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
-    use crate::{cnc::Spindle, fixed_point::ScaledCoefficient, term::SpeedExponent};
+    use crate::{cnc::SpindleState, fixed_point::ScaledCoefficient, term::SpeedExponent};
     let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
     machine.axes[0].thermal = None;
     machine.thermometers[5] = machine.thermometers[3];
@@ -345,7 +345,7 @@ fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
     let run = |rig: &mut Rig, rpm: u16, ms: u32| {
         let mut last = None;
         for _ in 0..ms {
-            let spindle = Spindle { speed: Rpm(rpm), load_n: 0 };
+            let spindle = SpindleState { speed: Rpm(rpm), load_n: 0 };
             rig.bridge.receive(&mut rig.state, CncMessage::Spindle(spindle));
             last = Some(live(rig, 1, 21, 21));
         }
@@ -354,30 +354,30 @@ fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
     let largest_nm = 1e4;
     let near = |output: &Output, share: f64| {
         let got = f64::from(x_nm(output));
-        assert_eq!(output.quality, Quality::Live);
+        assert_eq!(output.quality, OffsetQuality::Live);
         assert!((got + share * largest_nm).abs() < 0.005 * largest_nm, "{got} nm, {share}");
     };
     let mut rig = Rig::new(machine);
     run(&mut rig, 10_000, 20_000);
     let warm = 1.0 - (-0.5_f64).exp();
     near(&run(&mut rig, 10_000, 200), warm + 0.003);
-    let memory = rig.bridge.retained_heat(&rig.state);
+    let memory = rig.bridge.retained_lags(&rig.state);
     // A reset; 40 s without power.
     for (steps, share) in [(0, warm), (400, warm * (-1.0_f64).exp())] {
         let mut rig = Rig::new(machine);
-        rig.bridge.restore_heat(&mut rig.state, &memory, steps);
+        rig.bridge.restore_lags(&mut rig.state, &memory, steps);
         assert!(!rig.state.is_heat_unknown());
         near(&run(&mut rig, 0, 200), share);
     }
     // Nor is it followed once nobody says how fast the spindle turns.
-    assert_ne!(live(&mut rig, 2_000, 21, 21).quality, Quality::Live);
+    assert_ne!(live(&mut rig, 2_000, 21, 21).quality, OffsetQuality::Live);
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     assert!(rig.state.is_heat_unknown());
     // Another power is another heat.
     let term = machine.terms[0].as_mut().expect("it has one");
     term.effect = Effect::SpeedHeat { power: SpeedExponent::First, smoothing, per_unit };
     let mut rig = Rig::new(machine);
-    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+    rig.bridge.restore_lags(&mut rig.state, &memory, 0);
     assert!(rig.state.is_heat_unknown());
 }

@@ -58,7 +58,7 @@ fn is_believed(rapid: u32, way: i32, after_ms: u32) -> bool {
 
 #[test]
 fn the_figures_are_those_of_the_manual() {
-    assert_eq!((POSITION_JITTER_MS, JUMP_REPORT_MS), (20, 100));
+    assert_eq!((POSITION_JITTER_MS, JUMP_REPORT_DURATION_MS), (20, 100));
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn a_jump_moves_no_offset_is_reported_and_is_accepted_once_three_more_follow_fro
         rig.position(200 * MM + n * 4 * RAPID.cast_signed());
         assert!(rig.state.has_position_jumped() && rig.x() == 100 * MM, "message {n}");
         rig.wait(4);
-        assert_eq!((rig.last.offset, rig.last.quality), (before, Quality::Live));
+        assert_eq!((rig.last.offset, rig.last.quality), (before, OffsetQuality::Live));
         // What it rests on is as old as that, standing or not.
         assert_eq!(i32::from(rig.last.age_ms), 14 + 4 * n);
     }
@@ -125,7 +125,7 @@ fn one_wild_position_among_good_ones_is_never_followed() {
         // The wild one, the first after it, and the two that have to follow.
         assert!((0..=4).contains(&behind_ms), "{behind_ms} ms behind after {n}");
     }
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -138,8 +138,8 @@ fn positions_that_never_follow_from_each_other_are_a_cnc_that_is_lost() {
         rig.wait(1);
         assert_eq!(rig.x(), 0);
     }
-    assert_eq!(rig.last.quality, Quality::Hold);
-    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    assert_eq!(rig.last.quality, OffsetQuality::Hold);
+    assert!(rig.last.flags.contains(OffsetFlags::CNC_LOST));
 }
 
 #[test]

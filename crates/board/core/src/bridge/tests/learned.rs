@@ -98,7 +98,7 @@ fn a_fall_back_is_as_its_own_model_says() {
     assert_eq!(z, 10_752 + 108 + 1_000, "10.5 codes, 1 % more, and 1 µm");
     // The sensor is lost: a kelvin of the fall-back is 10 µm, neither more nor from elsewhere.
     sources::hold(&mut rig, 400, 0, Some(20));
-    assert_eq!(rig.last.quality, Quality::TemperatureModel);
+    assert_eq!(rig.last.quality, OffsetQuality::TemperatureModel);
     assert!((rig.z_nm() - z).abs() <= 2, "{} after {z}", rig.z_nm());
     sources::hold(&mut rig, 400, 0, Some(21));
     assert!((rig.z_nm() - z - 10_000).abs() <= 2, "{} after {z}", rig.z_nm());
@@ -109,7 +109,7 @@ fn a_machine_that_is_called_cold_keeps_what_was_learned() {
     let mut calibration = heat::lagging();
     calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
-    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     apply_change(&mut rig, 2, 5);
     warm(&mut rig, 1_000, Some(21), 1_000);
     assert!(rig.state.is_heat_unknown() && rig.state.learned().current()[1] == 5);

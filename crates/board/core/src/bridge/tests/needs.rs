@@ -35,11 +35,11 @@ fn a_guide_needs_the_position_of_the_axis_that_it_guides_whether_it_is_bent_or_n
             let mut rig = Rig::new(machine);
             let others = || LinearAxis::ALL.into_iter().filter(|axis| *axis != over);
             let output = at(&mut rig, others());
-            assert_eq!(output.quality, Quality::Off, "without {over:?}");
-            assert!(output.flags.contains(Flags::CNC_LOST));
+            assert_eq!(output.quality, OffsetQuality::Off, "without {over:?}");
+            assert!(output.flags.contains(OffsetFlags::CNC_LOST));
             let output = at(&mut rig, [over].into_iter());
-            assert_eq!(output.quality, Quality::Live, "with {over:?} alone");
-            assert!(!output.flags.contains(Flags::CNC_LOST));
+            assert_eq!(output.quality, OffsetQuality::Live, "with {over:?} alone");
+            assert!(!output.flags.contains(OffsetFlags::CNC_LOST));
         }
     }
 }
@@ -48,12 +48,12 @@ fn a_guide_needs_the_position_of_the_axis_that_it_guides_whether_it_is_bent_or_n
 fn a_term_of_a_temperature_is_held_and_given_up_with_its_thermometer() {
     let mut rig = Rig::new(heat::by_term(expanding(), SmoothingFactor::NO_LAG));
     let output = warm(&mut rig, 300, Some(21), 0);
-    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    assert_eq!((output.quality, output.flags), (OffsetQuality::Live, OffsetFlags::NONE));
     let output = warm(&mut rig, 500, None, 0);
-    assert_eq!(output.quality, Quality::Hold);
-    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!(output.quality, OffsetQuality::Hold);
+    assert!(output.flags.contains(OffsetFlags::SENSOR_FAULT));
     let output = warm(&mut rig, 2_500, None, 0);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
 }
 
 /// A sensor that reads 50 codes of growth, a thermometer at 21 °C, X at 1 m; each if it is there.
@@ -72,7 +72,7 @@ fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [b
         raw[3] = if thermometer { RawReading(21 * 256) } else { RawReading::NONE };
         rig.now = rig.now.wrapping_add_ms(1);
         let speed = Some(Rpm(24_000));
-        let input = Input { temperatures: Some(&raw), speed, codes: Some(&codes) };
+        let input = TickInput { temperatures: Some(&raw), speed, codes: Some(&codes) };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
 }
@@ -91,9 +91,9 @@ fn zero_is_taken_only_while_the_sensor_the_thermometer_and_the_position_are_all_
         lives(&mut rig, 800, false, there);
         let before = rig.last.quality;
         lives(&mut rig, 100, true, there);
-        let is_taken = rig.state.reference() != Reference::default();
+        let is_taken = rig.state.reference() != ReferenceErrors::default();
         assert_eq!(is_taken, missing.is_none(), "without {missing:?}");
-        assert_eq!(before, if is_taken { Quality::Live } else { Quality::Hold });
+        assert_eq!(before, if is_taken { OffsetQuality::Live } else { OffsetQuality::Hold });
     }
 }
 
@@ -105,7 +105,7 @@ fn growth_and_an_axis_that_are_both_held_at_their_limits_are_reported_as_one_is(
         (machine.limits.max[0], machine.limits.max[2]) = (Nanometres(max[0]), Nanometres(max[1]));
         let mut rig = Rig::new(machine);
         lives(&mut rig, 1_000, false, [true; 3]);
-        assert_eq!(rig.last.flags.contains(Flags::CLAMPED), is_reported, "{max:?}");
+        assert_eq!(rig.last.flags.contains(OffsetFlags::CLAMPED), is_reported, "{max:?}");
     }
 }
 
@@ -115,7 +115,10 @@ fn an_input_that_has_only_not_come_yet_is_off_and_no_fault() {
     // Channel 3 is read in the fourth millisecond.
     for _ in 0..3 {
         rig.tick(None);
-        assert_eq!((rig.last.quality, rig.last.offset), (Quality::Off, Some([Nanometres(0); 3])));
+        assert_eq!(
+            (rig.last.quality, rig.last.offset),
+            (OffsetQuality::Off, Some([Nanometres(0); 3]))
+        );
     }
 }
 
@@ -126,10 +129,10 @@ fn heat_that_only_a_fall_back_needs_is_no_fault_while_the_sensor_is_there() {
     warmup.law.smoothing_cooling = SmoothingFactor(10_724_000);
     let mut rig = Rig::new(machine);
     let memory = crate::retained_lags::RetainedLags::default();
-    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+    rig.bridge.restore_lags(&mut rig.state, &memory, 0);
     let output = rig.run(1_000, 1_050);
     assert!(rig.state.is_heat_unknown());
-    assert_eq!((output.quality, output.offset), (Quality::Off, Some([Nanometres(0); 3])));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Off, Some([Nanometres(0); 3])));
 }
 
 #[test]
@@ -143,7 +146,7 @@ fn the_offset_follows_the_head_from_angle_to_angle() {
     {
         // Said once, which is enough.
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(RotaryAxisAngles { angles }));
         rig.run_engaged(300, 1_100);
         assert_eq!(rig.last.offset, Some([0, y_nm, z_nm].map(Nanometres)), "{degrees} degrees");
     }
@@ -198,8 +201,16 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
             let is_enough =
                 needed.iter().all(|axis| needed_axes().any(|reported| reported == *axis));
             let output = at(&mut Rig::new(machine), needed_axes());
-            assert_eq!(output.quality == Quality::Live, is_enough, "machine {number}, {bits:03b}");
-            assert_eq!(output.flags.contains(Flags::CNC_LOST), !is_enough, "machine {number}");
+            assert_eq!(
+                output.quality == OffsetQuality::Live,
+                is_enough,
+                "machine {number}, {bits:03b}"
+            );
+            assert_eq!(
+                output.flags.contains(OffsetFlags::CNC_LOST),
+                !is_enough,
+                "machine {number}"
+            );
         }
     }
 }
@@ -207,8 +218,8 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
 #[test]
 fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_head_turns_growth() {
     let scaled = ScaledCoefficient { mantissa: 1, shift: 0 };
-    let spindle = CncMessage::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
-    let angles = CncMessage::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
+    let spindle = CncMessage::Spindle(SpindleState { speed: Rpm(1_000), load_n: 0 });
+    let angles = CncMessage::Rotary(RotaryAxisAngles { angles: [MicroDegrees(0); 2] });
     let elongation = Target::Elongation;
     let [mut head, mut growing] = [minimal_calibration(), with_term(elongation, Effect::Offset)];
     head.kinematics.axes[1] = Some(kinematics::RotaryAxis::C);
@@ -224,7 +235,7 @@ fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_he
         let is_live = |received: Option<CncMessage>| {
             let mut rig = Rig::new(machine);
             received.into_iter().for_each(|command| rig.bridge.receive(&mut rig.state, command));
-            at(&mut rig, [].into_iter()).quality == Quality::Live
+            at(&mut rig, [].into_iter()).quality == OffsetQuality::Live
         };
         assert_eq!(is_live(None), needed.is_none(), "{:?}", machine.terms[0]);
         assert!(is_live(needed), "{:?}", machine.terms[0]);
@@ -244,7 +255,7 @@ fn a_single_message_of_a_position_moves_the_offset() {
     for _ in 0..60 {
         rig.control(ENGAGED);
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
     assert_eq!(rig.last.offset, Some([-150_000, 0, 0].map(Nanometres)));

@@ -30,7 +30,7 @@ fn hold(rig: &mut Rig, ms: u32, celsius: [f64; 2]) -> i32 {
             raw[channel] = RawReading((celsius * PER_K) as i32);
         }
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { temperatures: Some(&raw), ..Input::default() };
+        let input = TickInput { temperatures: Some(&raw), ..TickInput::default() };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         largest = largest.max(rig.last.offset.map_or(0, |offset| offset[2].0.abs()));
     }
@@ -40,7 +40,7 @@ fn hold(rig: &mut Rig, ms: u32, celsius: [f64; 2]) -> i32 {
 fn engaged(machine: Calibration<'static>) -> Rig {
     let mut rig = Rig::new(machine);
     hold(&mut rig, 2_000, [30.0, 30.0]);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 100_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 100_000));
     rig
 }
 
@@ -50,7 +50,7 @@ fn a_step_of_the_only_source_is_held_for_as_long_as_it_is_not_believed() {
     for lasts_ms in [4_000, 59_000] {
         let largest = hold(&mut rig, lasts_ms, [85.0, 30.0]);
         assert_eq!(largest, 100_000, "held");
-        assert_eq!(rig.last.quality, Quality::Hold);
+        assert_eq!(rig.last.quality, OffsetQuality::Hold);
         let lost = rig.bridge.lost_inputs(&rig.state);
         assert!(
             lost.too_fast.contains(3)
@@ -59,11 +59,15 @@ fn a_step_of_the_only_source_is_held_for_as_long_as_it_is_not_believed() {
         );
         assert_eq!(rig.state.temperature(3), None, "and not shown as a temperature");
         hold(&mut rig, 500, [30.0, 30.0]);
-        assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 100_000), "back where it was");
+        assert_eq!(
+            (rig.last.quality, rig.z_nm()),
+            (OffsetQuality::Live, 100_000),
+            "back where it was"
+        );
     }
     hold(&mut rig, 60_500, [50.0, 30.0]);
     hold(&mut rig, 1_000, [50.0, 30.0]);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 300_000), "steady for 60 s");
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 300_000), "steady for 60 s");
 }
 
 #[test]
@@ -74,7 +78,11 @@ fn a_ramp_of_12_kelvin_a_minute_is_found_and_one_of_9_is_followed() {
             let now = 30.0 + per_min * f64::from(n) / 600.0;
             hold(&mut rig, 100, [now, 30.0]);
             if n > 250 {
-                assert_eq!(rig.last.quality == Quality::Live, is_followed, "{per_min} K/min: {n}");
+                assert_eq!(
+                    rig.last.quality == OffsetQuality::Live,
+                    is_followed,
+                    "{per_min} K/min: {n}"
+                );
             }
         }
     }
@@ -87,9 +95,9 @@ fn a_step_goes_to_the_next_source_where_there_is_one_and_the_offset_goes_on() {
     machine.spindle.chain[1] = Some(ElongationSource::Warmup);
     let mut rig = engaged(machine);
     assert_eq!(hold(&mut rig, 4_000, [85.0, 30.0]), 100_000);
-    assert_eq!(rig.last.quality, Quality::WarmUpModel);
+    assert_eq!(rig.last.quality, OffsetQuality::WarmUpModel);
     hold(&mut rig, 3_000, [30.0, 30.0]);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
 }
 
 #[test]
@@ -105,13 +113,13 @@ fn a_second_thermometer_of_the_same_law_that_agrees_lets_a_step_be_believed() {
     machine.terms[0] = Some(term);
     let mut rig = engaged(machine);
     hold(&mut rig, 4_000, [50.0, 30.0]);
-    assert_eq!(rig.last.quality, Quality::Hold);
+    assert_eq!(rig.last.quality, OffsetQuality::Hold);
     hold(&mut rig, 1_000, [50.0, 47.5]);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     // One of another law says nothing of it.
     let mut rig = engaged(by_temperature());
     hold(&mut rig, 4_000, [50.0, 50.0]);
-    assert_eq!(rig.last.quality, Quality::Hold);
+    assert_eq!(rig.last.quality, OffsetQuality::Hold);
 }
 
 #[test]
@@ -130,26 +138,26 @@ fn a_step_of_an_axis_holds_its_temperature_and_lets_it_be_followed_otherwise() {
     hold(&mut rig, 2_000, [30.0, 30.0]);
     let x = |rig: &Rig| rig.last.offset.map(|offset| offset[0].0);
     let before = x(&rig);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     hold(&mut rig, 10_000, [33.0, 30.0]);
-    assert_eq!((rig.last.quality, x(&rig)), (Quality::Hold, before));
+    assert_eq!((rig.last.quality, x(&rig)), (OffsetQuality::Hold, before));
     // No reference is taken on a temperature that is held.
     rig.control(Control { zero: true, ..ENGAGED });
-    assert_eq!(rig.state.reference(), Reference::default());
+    assert_eq!(rig.state.reference(), ReferenceErrors::default());
 }
 
 #[test]
 fn the_first_reading_is_believed_and_a_broken_wire_at_the_rail_never_is() {
     let mut rig = Rig::new(by_temperature());
     hold(&mut rig, 3_000, [70.0, 30.0]);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 500_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 500_000));
     // 0 V and full scale for ten minutes: lost within half a second, and never believed.
     for counts in [0.0, 4_095.0] {
         let mut rig = engaged(by_temperature());
         hold(&mut rig, 210, [counts / 16.0, 30.0]);
         assert!(rig.bridge.lost_inputs(&rig.state).thermometers.contains(3), "{counts}");
-        assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+        assert!(rig.last.flags.contains(OffsetFlags::SENSOR_FAULT));
         hold(&mut rig, 100_000, [counts / 16.0, 30.0]);
-        assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+        assert_eq!((rig.last.quality, rig.last.offset), (OffsetQuality::Fault, None));
     }
 }

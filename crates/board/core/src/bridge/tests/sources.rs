@@ -54,7 +54,7 @@ pub(super) fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Ou
         raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
         rig.now = rig.now.wrapping_add_ms(1);
         let input =
-            Input { temperatures: Some(&raw), speed: Some(Rpm(24_000)), codes: Some(&codes) };
+            TickInput { temperatures: Some(&raw), speed: Some(Rpm(24_000)), codes: Some(&codes) };
         let before = rig.last.offset;
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         if let (Some(before), Some(after)) = (before, rig.last.offset) {
@@ -72,18 +72,18 @@ fn a_source_that_takes_over_goes_on_where_the_one_before_was() {
     assert!((grown - 51_700).abs() < 600, "the sensor: {grown}");
     // The models say 20 and 30 µm; they tell how it grows from here.
     hold(&mut rig, 1_000, 0, Some(22));
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::TemperatureModel, grown));
     hold(&mut rig, 1_000, 0, Some(23));
     assert_eq!(rig.z_nm(), grown + 10_000);
     hold(&mut rig, 1_000, 0, None);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, grown + 10_000));
-    assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::WarmUpModel, grown + 10_000));
+    assert!(rig.last.flags.contains(OffsetFlags::SENSOR_FAULT));
     // The sensor returns: debounced, without a step, and its difference is taken back at 10 nm/s.
     hold(&mut rig, 900, 1_050, Some(23));
-    assert_ne!(rig.last.quality, Quality::Live, "not before it was fresh for a second");
+    assert_ne!(rig.last.quality, OffsetQuality::Live, "not before it was fresh for a second");
     hold(&mut rig, 1_400, 1_050, Some(23));
-    assert_eq!(rig.last.quality, Quality::Live);
-    assert!(rig.last.flags.contains(Flags::SLEWING), "reported");
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
+    assert!(rig.last.flags.contains(OffsetFlags::SLEWING), "reported");
     let before = rig.z_nm();
     assert!((before - grown - 10_000).abs() <= 20, "{before}");
     hold(&mut rig, 10_000, 1_050, Some(23));
@@ -109,11 +109,12 @@ fn ten_thousand_changes_of_source_leave_10_nm_in_the_first_second() {
 
 #[test]
 fn a_fall_back_whose_zero_is_not_known_is_not_used() {
-    let reference = Reference { elongation: Nanometres(60_000), ..Reference::default() };
+    let reference =
+        ReferenceErrors { elongation: Nanometres(60_000), ..ReferenceErrors::default() };
     let mut rig = Rig::new(chain());
     rig.state.set_reference(reference);
     hold(&mut rig, 2_000, 0, Some(22));
-    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    assert_eq!((rig.last.quality, rig.last.offset), (OffsetQuality::Fault, None));
     // It has outlasted the reset: it goes on.
     let retained =
         RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
@@ -121,7 +122,7 @@ fn a_fall_back_whose_zero_is_not_known_is_not_used() {
     rig.state.set_reference(reference);
     rig.state.restore_transfer(retained);
     hold(&mut rig, 2_000, 0, Some(22));
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, 1_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::TemperatureModel, 1_000));
     assert_eq!(rig.state.retained_transfer(), Some(retained));
 }
 
@@ -131,11 +132,11 @@ fn a_fall_back_that_is_dead_is_reported_while_it_is_not_needed() {
     hold(&mut rig, 1_300, 1_050, Some(22));
     assert!(!rig.bridge.has_fallback_failed(&rig.state));
     let output = hold(&mut rig, 1_000, 1_050, None);
-    assert_eq!(output.quality, Quality::Live);
-    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!(output.quality, OffsetQuality::Live);
+    assert!(output.flags.contains(OffsetFlags::SENSOR_FAULT));
     assert!(rig.bridge.has_fallback_failed(&rig.state));
     let output = hold(&mut rig, 500, 1_050, Some(22));
-    assert_eq!(output.flags, Flags::NONE);
+    assert_eq!(output.flags, OffsetFlags::NONE);
     assert!(!rig.bridge.has_fallback_failed(&rig.state));
 }
 
@@ -160,7 +161,7 @@ fn the_age_is_that_of_the_oldest_position_of_an_axis_that_moves() {
     for n in 1..=200_u8 {
         rig.control(ENGAGED);
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { temperatures: Some(&temperatures), speed: None, codes: None };
+        let input = TickInput { temperatures: Some(&temperatures), speed: None, codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         assert_eq!(rig.last.age_ms, n + 1, "it was on its way when it was last heard");
     }
@@ -208,7 +209,7 @@ fn a_source_that_takes_over_from_a_lost_one_keeps_the_growth_since() {
     // The temperature has risen while the sensor's last words are 150 ms old: a frozen one is found after 200.
     hold(&mut rig, 150, 1_050, Some(23));
     hold(&mut rig, 500, 0, Some(23));
-    assert_eq!(rig.last.quality, Quality::TemperatureModel);
+    assert_eq!(rig.last.quality, OffsetQuality::TemperatureModel);
     assert_eq!(rig.z_nm(), grown + 10_000, "since then by its own word");
 }
 
@@ -224,7 +225,11 @@ fn a_thermometer_that_returns_as_the_sensor_is_lost_reports_nothing_of_before() 
         let grown = rig.z_nm();
         // The spindle's housing is 5 K warmer than when it was last learnt of.
         hold(&mut rig, 600, 0, Some(27));
-        assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown), "{lead_ms}");
+        assert_eq!(
+            (rig.last.quality, rig.z_nm()),
+            (OffsetQuality::TemperatureModel, grown),
+            "{lead_ms}"
+        );
     }
 }
 
@@ -238,7 +243,7 @@ fn a_source_that_returns_reports_what_grew_while_the_thermometer_in_use_said_not
     // spindle grows by 10 codes.
     hold(&mut rig, 850, 1_050, Some(22));
     hold(&mut rig, 300, 1_060, None);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     assert!((rig.z_nm() - grown - 10_240).abs() <= 10, "{} after {grown}", rig.z_nm());
 }
 
@@ -253,7 +258,7 @@ fn is_believed_frozen_at(speed: Option<Rpm>) -> bool {
             codes[0] = AdcCode(1049);
         }
         rig.now = rig.now.wrapping_add_ms(1);
-        let input = Input { codes: Some(&codes), speed, temperatures: None };
+        let input = TickInput { codes: Some(&codes), speed, temperatures: None };
         rig.bridge.tick(&mut rig.state, rig.now, input);
         assert!(rig.state.believable || ms >= 700, "{speed:?} at {ms} ms");
     }
@@ -275,7 +280,7 @@ fn the_first_source_counts_from_its_own_zero_where_another_one_was_used_before_t
         RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
     rig.state.restore_transfer(retained);
     hold(&mut rig, 1_000, 1_050, Some(22));
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     assert!((rig.z_nm() - 51_700).abs() < 600, "{}", rig.z_nm());
 }
 
@@ -285,13 +290,13 @@ fn a_first_source_that_is_a_thermometer_is_gone_back_to_from_the_sensor() {
     machine.spindle.chain.swap(0, 1);
     let mut rig = Rig::new(machine);
     hold(&mut rig, 1_000, 1_050, Some(22));
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 20_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 20_000));
     hold(&mut rig, 1_000, 1_050, None);
     hold(&mut rig, 1_000, 1_060, None);
     assert!((rig.z_nm() - 20_000 - 10_240).abs() < 600, "by the sensor's growth: {}", rig.z_nm());
     // Back for a second, and then taken back by 10 nm in each.
     hold(&mut rig, 5_000, 1_060, Some(22));
-    assert!(rig.last.flags.contains(Flags::SLEWING), "on its way back");
+    assert!(rig.last.flags.contains(OffsetFlags::SLEWING), "on its way back");
 }
 
 #[test]
@@ -303,7 +308,7 @@ fn of_two_sources_that_are_lost_one_after_the_other_the_third_goes_on_from_the_s
     // 10 µm by the thermometer, which is lost then.
     hold(&mut rig, 150, 0, Some(23));
     hold(&mut rig, 1_000, 0, None);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, grown + 10_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::WarmUpModel, grown + 10_000));
 }
 
 #[test]
@@ -322,7 +327,7 @@ fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_sou
                 core::array::from_fn(|n| AdcCode(if code == 0 { 0 } else { code + n as u16 % 3 }));
             rig.now = rig.now.wrapping_add_ms(1);
             let (speed, temperatures) = (Some(Rpm(24_000)), Some(&raw));
-            let input = Input { temperatures, speed, codes: Some(&codes) };
+            let input = TickInput { temperatures, speed, codes: Some(&codes) };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
         assert_eq!(rig.state.retained_transfer().map(|retained| retained.source), retained);
@@ -355,7 +360,7 @@ fn a_term_of_the_elongation_is_there_without_a_source_as_well() {
         rig.control(ENGAGED);
         rig.tick(None);
     }
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 7_000));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 7_000));
 }
 
 #[test]
@@ -365,10 +370,10 @@ fn zero_on_a_source_that_is_on_its_way_back_leaves_nothing_to_take_back() {
     hold(&mut rig, 1_000, 0, Some(22));
     hold(&mut rig, 1_000, 0, Some(23));
     hold(&mut rig, 3_000, 1_050, Some(23));
-    assert!(rig.last.flags.contains(Flags::SLEWING), "on its way back");
+    assert!(rig.last.flags.contains(OffsetFlags::SLEWING), "on its way back");
     rig.control(Control { zero: true, ..ENGAGED });
     hold(&mut rig, 5_000, 1_050, Some(23));
-    assert_eq!((rig.z_nm(), rig.last.flags), (0, Flags::NONE));
+    assert_eq!((rig.z_nm(), rig.last.flags), (0, OffsetFlags::NONE));
 }
 
 #[test]
@@ -377,7 +382,7 @@ fn in_the_first_second_of_a_source_nothing_but_growth_moves_the_offset_and_then_
     hold(&mut rig, 1_300, 1_050, Some(22));
     hold(&mut rig, 1_000, 0, Some(22));
     hold(&mut rig, 1_000, 0, Some(23));
-    while rig.last.quality != Quality::Live {
+    while rig.last.quality != OffsetQuality::Live {
         hold(&mut rig, 1, 1_050, Some(23));
     }
     let before = rig.z_nm();
@@ -394,7 +399,7 @@ fn the_age_is_that_of_the_angles_while_the_head_turns() {
     let mut rig = Rig::new(machine);
     for (degrees, is_turning) in [(10, false), (20, true), (30, true), (30, false)] {
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(RotaryAxisAngles { angles }));
         for ms in 1..=100_u8 {
             let age_ms = rig.run_engaged(1, 1_100).age_ms;
             if rig.now.0 > 100 {
@@ -406,7 +411,8 @@ fn the_age_is_that_of_the_angles_while_the_head_turns() {
 
 #[test]
 fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_the_reset() {
-    let reference = Reference { elongation: Nanometres(60_000), ..Reference::default() };
+    let reference =
+        ReferenceErrors { elongation: Nanometres(60_000), ..ReferenceErrors::default() };
     let mut machine = chain();
     // The one that was used before the reset is no longer there.
     (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
@@ -415,5 +421,5 @@ fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_t
     let retained = RetainedTransfer { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
     rig.state.restore_transfer(retained);
     hold(&mut rig, 2_000, 0, Some(22));
-    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    assert_eq!((rig.last.quality, rig.last.offset), (OffsetQuality::Fault, None));
 }

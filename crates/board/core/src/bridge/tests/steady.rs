@@ -34,7 +34,7 @@ fn offsets_nm(machine: Calibration<'static>) -> Vec<i32> {
                 }),
             );
             rig.now = rig.now.wrapping_add_ms(1);
-            let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+            let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
         rig.last.offset.expect("available")[0].0

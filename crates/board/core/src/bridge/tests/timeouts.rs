@@ -5,8 +5,11 @@ use super::*;
 
 #[test]
 fn the_figures_are_those_of_the_manual() {
-    assert_eq!((SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS), (20, 100, 1_000));
-    assert_eq!(SOURCE_RETURN_MS, 1_000);
+    assert_eq!(
+        (SAMPLES_TIMEOUT_MS, STALE_DURATION_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS),
+        (20, 100, 1_000)
+    );
+    assert_eq!(SOURCE_RETURN_DELAY_MS, 1_000);
 }
 
 #[test]
@@ -16,8 +19,9 @@ fn twenty_milliseconds_without_samples_are_put_up_with_and_one_more_is_not() {
     for ms in 1..=30 {
         rig.control(ENGAGED);
         let output = rig.tick(None);
-        let is_reported = output.flags.contains(Flags::SAMPLES_MISSING);
-        let expected = if ms <= 20 { (Quality::Live, false) } else { (Quality::Hold, true) };
+        let is_reported = output.flags.contains(OffsetFlags::SAMPLES_MISSING);
+        let expected =
+            if ms <= 20 { (OffsetQuality::Live, false) } else { (OffsetQuality::Hold, true) };
         assert_eq!((output.quality, is_reported), expected, "after {ms} ms");
         // And it says how old it is.
         assert_eq!(output.age_ms, ms, "after {ms} ms");
@@ -44,9 +48,9 @@ fn followed_without_a_temperature_ms() -> u32 {
         rig.now = rig.now.wrapping_add_ms(1);
         let is_there = ms <= 1_000 && ms % 100 == 0;
         let temperatures = is_there.then_some(&raw);
-        let input = Input { codes: None, speed: Some(Rpm(0)), temperatures };
+        let input = TickInput { codes: None, speed: Some(Rpm(0)), temperatures };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
-        if ms >= 1_000 && rig.last.quality != Quality::Live {
+        if ms >= 1_000 && rig.last.quality != OffsetQuality::Live {
             return ms - 1_000;
         }
     }
@@ -65,12 +69,12 @@ fn what_is_inhibited_goes_to_0_and_is_not_available_from_then_on() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
     rig.state.set_inhibited(true);
-    assert_eq!(rig.run_engaged(1, 1_050).quality, Quality::RampingOut);
+    assert_eq!(rig.run_engaged(1, 1_050).quality, OffsetQuality::RampingOut);
     let output = rig.run_engaged(60, 1_050);
-    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
     rig.state.set_inhibited(false);
     rig.run_engaged(60, 1_050);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
+    assert_eq!((rig.last.quality, rig.z_nm()), (OffsetQuality::Live, 51_200));
 }
 
 #[test]
@@ -78,30 +82,30 @@ fn after_missing_blocks_the_sensor_is_believed_again_in_a_tenth_of_a_second() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
     rig.state.mark_samples_lost();
-    for ms in 1..=STALE_AFTER_LOSS_MS {
+    for ms in 1..=STALE_DURATION_AFTER_LOSS_MS {
         let output = rig.run_engaged(1, 1_050);
-        assert_eq!(output.quality, Quality::Hold, "after {ms} ms");
-        assert!(output.flags.contains(Flags::SAMPLES_MISSING), "after {ms} ms");
+        assert_eq!(output.quality, OffsetQuality::Hold, "after {ms} ms");
+        assert!(output.flags.contains(OffsetFlags::SAMPLES_MISSING), "after {ms} ms");
     }
     let output = rig.run_engaged(1, 1_050);
-    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    assert_eq!((output.quality, output.flags), (OffsetQuality::Live, OffsetFlags::NONE));
 }
 
 #[test]
 fn what_is_measured_by_a_supply_that_is_not_believed_is_not_and_one_that_has_moved_is_corrected() {
-    use crate::supply::{SupplyLevel, SupplyMonitor};
+    use crate::supply::{InternalReferenceLevel, SupplyMonitor};
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
     rig.state.set_supply_scale(None);
     let output = rig.run_engaged(30, 1_050);
-    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert!(output.flags.contains(OffsetFlags::SENSOR_FAULT));
     assert_eq!(rig.state.elongation(), None);
     // All codes are 2 % too high by it: 1 071 are 1 050.
     let mut supply = SupplyMonitor::default();
-    supply.set_reference_level(SupplyLevel(1_500 * 16));
+    supply.set_baseline_level(InternalReferenceLevel(1_500 * 16));
     (0..2_000).for_each(|_| supply.receive(AdcCode(1_530)));
     rig.state.set_supply_scale(Some(supply.scale()));
     rig.run_engaged(200, 1_071);
-    assert_eq!(rig.last.quality, Quality::Live);
+    assert_eq!(rig.last.quality, OffsetQuality::Live);
     assert!((rig.z_nm() - 51_200).abs() <= 100, "{}", rig.z_nm());
 }

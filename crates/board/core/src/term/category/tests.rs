@@ -28,7 +28,7 @@ fn of(target: Target, effect: Effect<'_>) -> Terms<'_> {
     terms
 }
 
-fn on_off(times: Factor) -> ConditionLevels {
+fn on_off(times: CategoryFactor) -> ConditionLevels {
     let smoothing = SmoothingFactor::NO_LAG;
     ConditionLevels { bit: 3, default: false, off: 0, on: 1 << 29, shift: 20, smoothing, times }
 }
@@ -39,7 +39,11 @@ fn each_tool_has_its_level_and_every_other_and_none_that_of_the_rest() {
     let table = ToolTable { levels: &levels, other: 99, ..ToolTable::default() };
     for (number, level) in TOOLS.into_iter().chain([(0, 99), (2, 99), (65_534, 99)]) {
         let tool = u16::try_from(number).expect("a tool");
-        assert_eq!(table.level(Some(Conditions { tool, bits: u16::MAX })), level, "{number}");
+        assert_eq!(
+            table.level(Some(MachineConditions { tool, bits: u16::MAX })),
+            level,
+            "{number}"
+        );
     }
     assert_eq!(table.level(None), 99, "the CNC does not say");
 }
@@ -47,8 +51,8 @@ fn each_tool_has_its_level_and_every_other_and_none_that_of_the_rest() {
 #[test]
 fn a_condition_is_its_own_bit_and_its_default_where_the_cnc_does_not_say() {
     for bit in 0..16 {
-        let it = ConditionLevels { bit, ..on_off(Factor::One) };
-        let is_on = |bits| it.input(Some(Conditions { tool: 7, bits })) == UNIT_STEP;
+        let it = ConditionLevels { bit, ..on_off(CategoryFactor::One) };
+        let is_on = |bits| it.input(Some(MachineConditions { tool: 7, bits })) == UNIT_STEP;
         assert!(is_on(1 << bit) && !is_on(!(1 << bit)), "{bit}");
         assert!(
             it.input(None) == 0 && ConditionLevels { default: true, ..it }.input(None) == UNIT_STEP
@@ -86,7 +90,11 @@ fn on_its_way_a_level_is_right_to_a_place_and_ends_exactly() {
     let mut seed = 9;
     for _ in 0..10_000 {
         let any = |seed: &mut u64| (next_random(seed) as i32) >> 1;
-        let it = ConditionLevels { off: any(&mut seed), on: any(&mut seed), ..on_off(Factor::One) };
+        let it = ConditionLevels {
+            off: any(&mut seed),
+            on: any(&mut seed),
+            ..on_off(CategoryFactor::One)
+        };
         assert_eq!([it.level(0), it.level(UNIT_STEP)], [it.off, it.on]);
         let s = (next_random(&mut seed) >> 2) as i32;
         let share = f64::from(s) / f64::from(UNIT_STEP);
@@ -104,28 +112,30 @@ fn what_a_level_is_multiplied_by() {
     // 2²⁹ in 2⁻²⁰ are 512 units.
     let mut of_growth = |times| {
         let terms = of(Target::Elongation, Effect::Condition(on_off(times)));
-        states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+        states.set_conditions(&terms, Some(MachineConditions { tool: 0, bits: 1 << 3 }));
         apply_elongation_terms(&terms, grown, &states, operating).0 - grown.0
     };
-    assert_eq!(of_growth(Factor::One), 512);
-    assert_eq!(of_growth(Factor::Growth), 512 * grown.0);
-    let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(on_off(Factor::Position)));
+    assert_eq!(of_growth(CategoryFactor::One), 512);
+    assert_eq!(of_growth(CategoryFactor::Growth), 512 * grown.0);
+    let terms =
+        of(Target::Axis(LinearAxis::Y), Effect::Condition(on_off(CategoryFactor::Position)));
     let mut place = MachinePosition::default();
     place.position[1] = Position(-1_000);
-    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    states.set_conditions(&terms, Some(MachineConditions { tool: 0, bits: 1 << 3 }));
     assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres(-512_000));
-    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: !(1 << 3) }));
+    states.set_conditions(&terms, Some(MachineConditions { tool: 0, bits: !(1 << 3) }));
     assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres::ZERO);
     // 20 000² · 512/2³⁰ units of an axis by its speed.
-    let by_speed = ConditionLevels { shift: 50, ..on_off(Factor::Speed2) };
+    let by_speed = ConditionLevels { shift: 50, ..on_off(CategoryFactor::Speed2) };
     let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(by_speed));
-    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    states.set_conditions(&terms, Some(MachineConditions { tool: 0, bits: 1 << 3 }));
     assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres(191));
 }
 
 #[test]
 fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
-    let lagged = ConditionLevels { smoothing: SmoothingFactor(1 << 30), ..on_off(Factor::One) };
+    let lagged =
+        ConditionLevels { smoothing: SmoothingFactor(1 << 30), ..on_off(CategoryFactor::One) };
     let terms = of(Target::Elongation, Effect::Condition(lagged));
     let mut states = TermStates::default();
     let added = |states: &TermStates| {
@@ -134,10 +144,10 @@ fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
     let step = |states: &mut TermStates| states.step(&terms, 0, &[None; 8], None, true);
     step(&mut states);
     assert_eq!(added(&states), 0, "nothing is known yet");
-    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    states.set_conditions(&terms, Some(MachineConditions { tool: 0, bits: 1 << 3 }));
     step(&mut states);
     assert_eq!(added(&states), 512, "it was on at the first step");
-    states.set_conditions(&terms, Some(Conditions::default()));
+    states.set_conditions(&terms, Some(MachineConditions::default()));
     for expected in [384, 288, 216, 162] {
         step(&mut states);
         assert_eq!(added(&states), expected, "a quarter less in each step");
@@ -146,7 +156,7 @@ fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
     states.store_lags(&terms, &mut memory);
     let mut resumed = TermStates::default();
     resumed.restore_lags(&terms, |key| memory.find(key));
-    resumed.set_conditions(&terms, Some(Conditions::default()));
+    resumed.set_conditions(&terms, Some(MachineConditions::default()));
     step(&mut resumed);
     step(&mut states);
     assert_eq!(added(&resumed), added(&states), "a reset changes nothing");
@@ -161,10 +171,14 @@ fn terms_by_category_add_to_what_all_others_have_made() {
     let double =
         Effect::Gain(crate::fixed_point::ScaledCoefficient { mantissa: 1 << 29, shift: 29 });
     let levels = levels();
-    let tools = ToolTable { levels: &levels, other: 1 << 29, shift: 50, times: Factor::Speed2 };
+    let tools =
+        ToolTable { levels: &levels, other: 1 << 29, shift: 50, times: CategoryFactor::Speed2 };
     let all = [
-        term(10, Effect::Condition(on_off(Factor::One))),
-        term(20, Effect::Condition(ConditionLevels { shift: 30, ..on_off(Factor::Growth) })),
+        term(10, Effect::Condition(on_off(CategoryFactor::One))),
+        term(
+            20,
+            Effect::Condition(ConditionLevels { shift: 30, ..on_off(CategoryFactor::Growth) }),
+        ),
         term(3, double),
         term(40, Effect::Tool(tools)),
     ];
@@ -172,7 +186,7 @@ fn terms_by_category_add_to_what_all_others_have_made() {
         let mut terms = Terms::default();
         terms.iter_mut().zip(places).for_each(|(place, from)| *place = all[from]);
         let mut states = TermStates::default();
-        states.set_conditions(&terms, Some(Conditions { tool: 9, bits: 1 << 3 }));
+        states.set_conditions(&terms, Some(MachineConditions { tool: 9, bits: 1 << 3 }));
         assert!(
             states.update_speed(&terms, Rpm(20_000)) && !states.update_speed(&terms, Rpm(20_000))
         );

@@ -265,7 +265,7 @@ fn frames_may_take_all_but_the_room_for_answers_to_the_last_byte() {
     let all_but_answers = TX_CAPACITY - REPLY_RESERVE_BYTES;
     let mut frames = vec![frame(8); 9];
     frames.extend([frame(7), frame(0)]);
-    let bytes: usize = frames.iter().map(line_length).sum();
+    let bytes: usize = frames.iter().map(frame_line_length).sum();
     assert_eq!(bytes, all_but_answers);
     let mut port = opened();
     assert!(port.send_all(&frames));

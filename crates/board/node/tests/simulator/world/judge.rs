@@ -1,7 +1,7 @@
 //! Conditions that hold in every tick, whatever fails: limits, no step, quality and age that are true, and
 //! the offset that the machine needs.
 
-use trueup_core::cnc::{Output, Quality};
+use trueup_core::cnc::{OffsetQuality, Output};
 
 use super::{World, WorldFault};
 use crate::machine::{MAX_NM, SLEW_NM_PER_MS};
@@ -14,7 +14,7 @@ impl World {
         };
         let offset = output.offset.map(|offset| offset.map(|axis| axis.0));
         // Not available and Fault are one.
-        assert_eq!(offset.is_none(), output.quality == Quality::Fault, "{}", place());
+        assert_eq!(offset.is_none(), output.quality == OffsetQuality::Fault, "{}", place());
         // Nothing before the engage sequence.
         if !self.engaged_after_release {
             assert_eq!(offset, None, "before the engage sequence: {}", place());
@@ -34,7 +34,7 @@ impl World {
         for (nm, before) in offset.iter().zip(before) {
             assert!((nm - before).abs() <= most, "a step from {before}: {}", place());
         }
-        if output.quality == Quality::Off {
+        if output.quality == OffsetQuality::Off {
             assert_eq!(offset, [0; 3], "{}", place());
         }
         // Live says that the sensor is there.
@@ -50,12 +50,12 @@ impl World {
         // After a start it has to be found anew.
         let lasts = self.lasts_ms().min(self.since_start_ms);
         if is_blind && lasts > 50 || self.fault == WorldFault::SensorStuck && lasts > 250 {
-            assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
+            assert_ne!(output.quality, OffsetQuality::Live, "blind for {lasts} ms: {}", place());
             assert_ne!(output.flags.0 & 0x0C, 0, "not reported: {}", place());
         }
         // Nor a model that its thermometer is there, once its channel counts as bad.
         if self.fault == WorldFault::BothOpen && lasts > 1_600 {
-            assert_ne!(output.quality, Quality::TemperatureModel, "{}", place());
+            assert_ne!(output.quality, OffsetQuality::TemperatureModel, "{}", place());
         }
         // Followed and held end in time; what is followed is as old as it says.
         if is_on(output.quality) {
@@ -63,8 +63,8 @@ impl World {
             let received_ms = self.axis.received_ms;
             assert!(received_ms <= 520, "no position for {received_ms} ms: {}", place());
             let sampled_ms = match output.quality {
-                Quality::Live => self.block_ms,
-                Quality::TemperatureModel => self.temperatures_ms,
+                OffsetQuality::Live => self.block_ms,
+                OffsetQuality::TemperatureModel => self.temperatures_ms,
                 _ => 0,
             };
             let oldest_ms = sampled_ms.max(if self.axis.moves { received_ms } else { 0 });
@@ -76,7 +76,7 @@ impl World {
             assert!(range.contains(&reported_ms), "{reported_ms} ms for {oldest_ms}: {}", place());
         }
         if self.fault == WorldFault::CncSilent && lasts > 2_530 {
-            assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());
+            assert_ne!(output.quality, OffsetQuality::Hold, "for {lasts} ms: {}", place());
         }
         self.joins(elapsed_ms, output, offset[2]);
         self.compare(output, offset);
@@ -106,7 +106,7 @@ impl World {
 
     /// While it is live, settled and well, the offset is what the machine has grown by.
     fn compare(&mut self, output: &Output, [x_nm, _, z_nm]: [i32; 3]) {
-        let is_settled = output.quality == Quality::Live && output.flags.0 & 0x0F == 0;
+        let is_settled = output.quality == OffsetQuality::Live && output.flags.0 & 0x0F == 0;
         self.well_ms =
             if is_settled && self.fault == WorldFault::None { self.well_ms + 1 } else { 0 };
         if self.well_ms < 1_000 {
@@ -125,6 +125,9 @@ impl World {
     }
 }
 
-fn is_on(quality: Quality) -> bool {
-    matches!(quality, Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel)
+fn is_on(quality: OffsetQuality) -> bool {
+    matches!(
+        quality,
+        OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel
+    )
 }

@@ -66,8 +66,8 @@ fn a_direction_is_taken_whose_parts_are_rounded_and_not_one_that_is_longer() {
     // (0.48, 0.6, −0.64) has a length of 1, right to 10⁻⁶.
     for (off, is_taken) in [(0.0, true), (1e-7, true), (1e-2, false), (-1e-2, false)] {
         with_sample(|mut calibration| {
-            let part = |part: f64| ((part + off) * f64::from(Direction::ONE)) as i32;
-            calibration.kinematics.zero = Direction([0.48, 0.6, -0.64].map(part));
+            let part = |part: f64| ((part + off) * f64::from(ToolDirection::ONE)) as i32;
+            calibration.kinematics.zero = ToolDirection([0.48, 0.6, -0.64].map(part));
             let mut bytes = [0; MAX_BLOB_SIZE];
             let blob = encode(&calibration, &mut bytes).expect("it is small");
             assert_eq!(decode(blob) == Ok(calibration), is_taken, "{off}");

@@ -1,7 +1,7 @@
 //! Terms by tool and by condition in a blob, and a slope by heat.
 
 use super::*;
-use trueup_core::term::{ConditionLevels, Factor, ToolTable};
+use trueup_core::term::{CategoryFactor, ConditionLevels, ToolTable};
 
 /// Tools 1 and 7.
 static LEVELS: [[u8; 8]; 2] = [[1, 0, 0, 0, 9, 0, 0, 0], [7, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF]];
@@ -21,7 +21,7 @@ fn blob_of(effects: [Effect<'static>; 2]) -> Vec<u8> {
 
 #[test]
 fn tools_and_conditions_come_back_and_one_without_a_meaning_is_refused() {
-    let tools = ToolTable { levels: &LEVELS, other: -5, shift: 41, times: Factor::Speed2 };
+    let tools = ToolTable { levels: &LEVELS, other: -5, shift: 41, times: CategoryFactor::Speed2 };
     let condition = ConditionLevels {
         bit: 15,
         default: true,
@@ -29,7 +29,7 @@ fn tools_and_conditions_come_back_and_one_without_a_meaning_is_refused() {
         on: 77,
         shift: 20,
         smoothing: SmoothingFactor(4),
-        times: Factor::Growth,
+        times: CategoryFactor::Growth,
     };
     let blob = blob_of([Effect::Tool(tools), Effect::Condition(condition)]);
     let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));

@@ -43,7 +43,7 @@ fn with_volume<T>(mut calibration: Calibration<'_>, check: impl FnOnce(Calibrati
 fn record(blob: &[u8]) -> usize {
     let word = |at: usize| usize::from(u16::from_le_bytes([blob[at], blob[at + 1]]));
     let last = word(572) + 24 * (word(574) - 1);
-    assert_eq!(blob[last], TERM_KIND);
+    assert_eq!(blob[last], VOLUMETRIC_TERM_KIND);
     word(last + 8)
 }
 

@@ -5,7 +5,7 @@ use crate::{
     file::{Machine, schema::MACHINE_FILE_KEYS},
     keys::{
         key::{Key, ValueType},
-        range::{PlausibleRange, range_of_unit},
+        range::{PlausibleRange, default_range_for_unit},
         section::{NewSection, Value},
         term::{TERM, TERM_KEYS},
     },
@@ -46,12 +46,12 @@ impl KeyScope {
     }
 
     /// Returns the range of the numbers of a key: its own, else that of its section, else that of its unit.
-    pub(super) fn range_of(self, key: &Key) -> Option<PlausibleRange> {
+    pub(super) fn key_range(self, key: &Key) -> Option<PlausibleRange> {
         let nearest = match self {
             Self::Section(_, of_section) => key.range.or(of_section),
             Self::Term(cause) => cause.own_range(key.name).or(key.range),
         };
-        nearest.or_else(|| range_of_unit(key.unit))
+        nearest.or_else(|| default_range_for_unit(key.unit))
     }
 
     /// Returns the keys of the section of this name.
@@ -69,7 +69,7 @@ impl KeyScope {
     pub(super) fn find(self, dotted: &str) -> Option<(&'static Key, Option<PlausibleRange>)> {
         match dotted.split_once('.') {
             Some((section, rest)) => self.section(section)?.find(rest),
-            None => self.key(dotted).map(|key| (key, self.range_of(key))),
+            None => self.key(dotted).map(|key| (key, self.key_range(key))),
         }
     }
 }
@@ -137,7 +137,7 @@ fn collect_value_entries(
         Value::Boolean(_) | Value::Text(_) | Value::Texts(_) => return,
     };
     if let Some(key) = scope.key(name) {
-        let range = scope.range_of(key);
+        let range = scope.key_range(key);
         // The numbers of a row have different units.
         let unit = if matches!(key.form, ValueType::Rows) { "" } else { key.unit };
         entries.push(NumericEntry { key: path, unit, range, values });

@@ -50,7 +50,7 @@ fn for_each_numeric_key(
             | ValueType::Column
             | ValueType::Choices(_)
             | ValueType::Terms => {}
-            _ => with(name, key, scope.range_of(key)),
+            _ => with(name, key, scope.key_range(key)),
         }
     }
 }
@@ -179,13 +179,19 @@ fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
     let text = format!("{HEAD}{HEAT}slope_um_per_m_per_c = 11500.0\n");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
     let found = machine_findings(&machine);
-    let bad = combine_refused(&found, &[]).expect("refused");
+    let bad = combine_rejected_findings(&found, &[]).expect("refused");
     assert_eq!((bad.place.line, bad.place.column), (8, 24), "{bad}");
     assert!(
         bad.rule.starts_with("axis.x.thermal.slope_um_per_m_per_c 11500 µm/(m·K) is impossible")
     );
     let help = bad.help.expect("what to do");
     assert!(help.ends_with("add --accept axis.x.thermal.slope_um_per_m_per_c"), "{help}");
-    assert_eq!(combine_refused(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]), None);
-    assert!(combine_refused(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()]).is_some());
+    assert_eq!(
+        combine_rejected_findings(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]),
+        None
+    );
+    assert!(
+        combine_rejected_findings(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()])
+            .is_some()
+    );
 }

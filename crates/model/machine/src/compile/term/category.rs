@@ -6,7 +6,7 @@
 
 use trueup_core::{
     lag::SmoothingFactor,
-    term::{ConditionLevels, Factor, ToolTable},
+    term::{CategoryFactor, ConditionLevels, ToolTable},
 };
 
 use super::{
@@ -14,14 +14,14 @@ use super::{
 };
 use crate::{
     compile::{
-        inputs::{condition_column, condition_declaration},
+        inputs::{condition_column, condition_input_line},
         lag,
     },
     effect::{BoardTerm, DependenceForm, Effect, Multiplier, Quantity},
     file::{Machine, Term},
     inputs::Inputs,
-    location::BadInput,
-    sections::{Tool, Tools},
+    location::InputFileError,
+    sections::{ToolGrowth, ToolGrowthList},
     tool::TOOL_COLUMN,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, shortest_decimal,
@@ -37,7 +37,7 @@ pub(super) struct OwnedToolTable {
     levels: Vec<[u8; 8]>,
     other: i32,
     shift: u8,
-    times: Factor,
+    times: CategoryFactor,
 }
 
 impl OwnedToolTable {
@@ -48,16 +48,20 @@ impl OwnedToolTable {
 }
 
 /// Returns the factor on the board, how many of the board's units are one of the user's, and up to what it is checked.
-fn compile_factor(times: &Multiplier) -> Result<(Factor, f64, f64), String> {
+fn compile_factor(times: &Multiplier) -> Result<(CategoryFactor, f64, f64), String> {
     Ok(match times {
-        Multiplier::One => (Factor::One, FINE_UNITS_PER_UM, 1.0),
-        Multiplier::Speed2 => {
-            (Factor::Speed2, FINE_UNITS_PER_UM / 1e6, MAX_CHECKED_SPEED_RPM * MAX_CHECKED_SPEED_RPM)
+        Multiplier::One => (CategoryFactor::One, FINE_UNITS_PER_UM, 1.0),
+        Multiplier::Speed2 => (
+            CategoryFactor::Speed2,
+            FINE_UNITS_PER_UM / 1e6,
+            MAX_CHECKED_SPEED_RPM * MAX_CHECKED_SPEED_RPM,
+        ),
+        Multiplier::Growth => {
+            (CategoryFactor::Growth, 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM)
         }
-        Multiplier::Growth => (Factor::Growth, 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM),
         Multiplier::Position => {
             let reach = MAX_CHECKED_DISTANCE_MM * POSITION_UNITS_PER_MM;
-            (Factor::Position, FINE_UNITS_PER_UM / (1000.0 * POSITION_UNITS_PER_MM), reach)
+            (CategoryFactor::Position, FINE_UNITS_PER_UM / (1000.0 * POSITION_UNITS_PER_MM), reach)
         }
         Multiplier::Column { column, .. } => {
             return Err(format!("is multiplied by {column}, which no board does"));
@@ -113,7 +117,7 @@ pub(super) fn compile_condition(
     let input = inputs.and_then(|inputs| inputs.conditions.get(column)).ok_or_else(|| {
         format!(
             "needs {column}, which [inputs] does not describe: the board must know its bit; add `{}`",
-            condition_declaration(inputs, column)
+            condition_input_line(inputs, column)
         )
     })?;
     let (times, unit, largest) = compile_factor(times)?;
@@ -136,8 +140,8 @@ pub(super) fn compile_condition(
 }
 
 /// Refuses a tool that has a label and no number, which the CNC cannot send.
-pub(in crate::compile) fn reject_unnumbered_tools(machine: &Machine) -> Result<(), BadInput> {
-    match machine.spindle.tools.as_ref().and_then(Tools::first_unnumbered_label) {
+pub(in crate::compile) fn reject_unnumbered_tools(machine: &Machine) -> Result<(), InputFileError> {
+    match machine.spindle.tools.as_ref().and_then(ToolGrowthList::first_unnumbered_label) {
         None => Ok(()),
         Some(label) => {
             let rule =
@@ -164,12 +168,12 @@ fn decompile_levels(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
     stored.iter().map(of).collect()
 }
 
-fn decompile_factor(factor: Factor) -> (Multiplier, f64) {
+fn decompile_factor(factor: CategoryFactor) -> (Multiplier, f64) {
     let times = match factor {
-        Factor::One => Multiplier::One,
-        Factor::Speed2 => Multiplier::Speed2,
-        Factor::Growth => Multiplier::Growth,
-        Factor::Position => Multiplier::Position,
+        CategoryFactor::One => Multiplier::One,
+        CategoryFactor::Speed2 => Multiplier::Speed2,
+        CategoryFactor::Growth => Multiplier::Growth,
+        CategoryFactor::Position => Multiplier::Position,
     };
     let unit = self::compile_factor(&times).map_or(1.0, |(_, unit, _)| unit);
     (times, unit)
@@ -198,7 +202,7 @@ pub(super) fn decompile_condition(it: &ConditionLevels) -> BoardTerm {
 }
 
 /// Returns the list of `[spindle.tools]` that a term is, if it is one.
-pub(in crate::compile) fn as_tool_list(term: &Term) -> Option<Tools> {
+pub(in crate::compile) fn tools_from_term(term: &Term) -> Option<ToolGrowthList> {
     let Effect::Dependence(it) = &term.effect else { return None };
     let DependenceForm::Level { levels, added, otherwise } = &it.form else { return None };
     let is_list = it.column == TOOL_COLUMN
@@ -210,8 +214,8 @@ pub(in crate::compile) fn as_tool_list(term: &Term) -> Option<Tools> {
     }
     let number = |level: f64| round_to_i32(level).and_then(|level| u16::try_from(level).ok());
     let tool = |(level, um): (&f64, &f64)| {
-        Some(Tool { number: Some(number(*level)?), label: None, um_per_krpm2: *um })
+        Some(ToolGrowth { number: Some(number(*level)?), label: None, um_per_krpm2: *um })
     };
-    let tools: Option<Vec<Tool>> = levels.iter().zip(added).map(tool).collect();
-    Some(Tools { default_um_per_krpm2: *otherwise, tools: tools? })
+    let tools: Option<Vec<ToolGrowth>> = levels.iter().zip(added).map(tool).collect();
+    Some(ToolGrowthList { default_um_per_krpm2: *otherwise, tools: tools? })
 }

@@ -22,7 +22,7 @@ use crate::{
         relative_heat_input,
     },
     file,
-    sections::Angle,
+    sections::AngleProfile,
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM,
         TEMPERATURE_UNITS_PER_KELVIN, shortest_decimal, to_user_value,
@@ -101,7 +101,8 @@ fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
                 power: *power,
                 um_per_unit: decompile_coefficient(
                     *per_unit,
-                    FINE_UNITS_PER_UM * relative_heat_input(*power, 1.0) / power.input_units(),
+                    FINE_UNITS_PER_UM * relative_heat_input(*power, 1.0)
+                        / power.input_units_per_speed_power(),
                 ),
                 time_constant_s: lag::decompile_time_constant_s(*smoothing),
             })
@@ -139,12 +140,12 @@ fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
         }
         Effect::TiltLine(it) => {
             let per_unit = GRADIENT_UNITS_PER_UM_PER_M * REFERENCE_LEVER_M;
-            let angle = Angle::Line(to_user_value(it.angle.0, per_unit));
+            let angle = AngleProfile::Line(to_user_value(it.angle.0, per_unit));
             BoardTerm::Tilt(decompile_tilt(own, it, angle))
         }
         Effect::TiltCurve(it) => {
             let spline = curve::decompile_angle(&it.angle, REFERENCE_LEVER_M);
-            BoardTerm::Tilt(decompile_tilt(own, it, Angle::Curve(spline)))
+            BoardTerm::Tilt(decompile_tilt(own, it, AngleProfile::Curve(spline)))
         }
         Effect::Tool(table) => category::decompile_tool_table(table),
         Effect::Condition(it) => category::decompile_condition(it),
@@ -168,7 +169,11 @@ fn decompile_wave(turns: u64, phase: u32, amplitude: FineNanometres) -> BoardTer
     }
 }
 
-fn decompile_tilt<A>(own: Option<file::LinearAxis>, it: &Tilt<A>, angle: Angle) -> effect::Tilt {
+fn decompile_tilt<A>(
+    own: Option<file::LinearAxis>,
+    it: &Tilt<A>,
+    angle: AngleProfile,
+) -> effect::Tilt {
     let along = Some(linear_axis_from_board(it.along)).filter(|along| own != Some(*along));
     let origin_mm = to_user_value(it.origin.0, POSITION_UNITS_PER_MM);
     effect::Tilt { along, lever: linear_axis_from_board(it.lever), origin_mm, angle }

@@ -7,7 +7,7 @@ const MAX_LEVELS: usize = 12;
 /// Smallest number of rows of a level, but of a column that is only 0 and 1.
 const MIN_LEVEL_ROWS: usize = 8;
 /// A column comes near 0 if its smallest value is at most this share of its largest.
-const NEAR_ZERO_RATIO: f64 = 0.35;
+const MAX_NEAR_ZERO_RATIO: f64 = 0.35;
 /// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
 const HINGE_START_COUNT: usize = 8;
 /// Places of a curve, of a smooth and of a wavy one.
@@ -17,12 +17,12 @@ pub(super) const SWITCH_LEVELS: [f64; 2] = [0.0, 1.0];
 
 /// Where a column is 0: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
 /// hardly varies, the other factor alone would be taken for a dependence on both.
-pub(super) fn column_origin(values: &[f64]) -> f64 {
+pub(super) fn reference_value(values: &[f64]) -> f64 {
     let finite = || values.iter().copied().filter(|value| value.is_finite());
     let (low, high) = finite().fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
         (low.min(value.abs()), high.max(value.abs()))
     });
-    if low <= NEAR_ZERO_RATIO * high {
+    if low <= MAX_NEAR_ZERO_RATIO * high {
         0.0
     } else {
         finite().sum::<f64>() / finite().count().max(1) as f64
@@ -55,7 +55,7 @@ pub(super) fn find_levels(values: &[f64]) -> Option<Vec<f64>> {
 }
 
 /// Returns the numbers of the tools that were used often; of the others nothing is known.
-pub(super) fn frequent_tools(values: &[f64]) -> Option<Vec<f64>> {
+pub(super) fn find_frequent_tools(values: &[f64]) -> Option<Vec<f64>> {
     let rows = |tool: f64| values.iter().filter(|value| **value == tool).count();
     let often: Vec<f64> =
         values.iter().copied().filter(|tool| rows(*tool) >= MIN_LEVEL_ROWS).collect();

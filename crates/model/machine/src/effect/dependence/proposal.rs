@@ -3,15 +3,15 @@
 use super::{
     Dependence, DependenceForm,
     column_values::{
-        KNOT_COUNTS, SWITCH_LEVELS, choose_knots, column_origin, find_levels, frequent_tools,
-        hinge_candidates,
+        KNOT_COUNTS, SWITCH_LEVELS, choose_knots, find_frequent_tools, find_levels,
+        hinge_candidates, reference_value,
     },
     multiplier::{LOAD_COLUMN, SPEED_COLUMN},
 };
 use crate::{
     effect::{
         cause_spec::Multiplier,
-        data_view::{DataView, StartValues, TIME_CONSTANT_COUNT, peak_to_peak},
+        data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS, peak_to_peak},
     },
     sections::ElongationSource,
     tool::TOOL_COLUMN,
@@ -20,7 +20,7 @@ use crate::{
 /// Proposes what the recorded columns allow.
 pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
     let mut times = vec![Multiplier::One];
-    if survey.varies(SPEED_COLUMN) {
+    if survey.is_varying(SPEED_COLUMN) {
         times.push(Multiplier::Speed2);
     }
     let is_sensed = survey.elongation_source() == Some(ElongationSource::Sensor);
@@ -30,7 +30,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
     {
         times.push(Multiplier::Growth);
     }
-    if survey.own_axis_moves() {
+    if survey.has_own_axis_moved() {
         times.push(Multiplier::Position);
     }
     let all: Vec<(&str, &[f64])> = survey
@@ -38,27 +38,27 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
         .into_iter()
         .filter_map(|name| varying_column(survey, name))
         .collect();
-    let known = survey.temperatures().into_iter().chain([LOAD_COLUMN]);
+    let known = survey.temperature_columns().into_iter().chain([LOAD_COLUMN]);
     let known: Vec<(&str, &[f64])> =
         known.filter_map(|name| varying_column(survey, name)).collect();
-    propose_temperatures(survey, with);
-    propose_speed(survey, with);
+    propose_temperature_dependences(survey, with);
+    propose_speed_dependences(survey, with);
     for (number, &(column, values)) in all.iter().enumerate() {
         let levels =
-            if column == TOOL_COLUMN { frequent_tools(values) } else { find_levels(values) };
+            if column == TOOL_COLUMN { find_frequent_tools(values) } else { find_levels(values) };
         // A product is the same the other way round; a category is never the second factor.
         let later = all.iter().enumerate().filter(|(n, (name, values))| {
             let is_amount = *name != TOOL_COLUMN && self::find_levels(values).is_none();
             (levels.is_some() && *n != number || *n > number) && is_amount
         });
         let second = known.iter().chain(later.map(|(_, later)| later)).map(|(name, values)| {
-            let reference = column_origin(values);
+            let reference = reference_value(values);
             Multiplier::Column { column: (*name).into(), reference, range: [reference; 2] }
         });
         for mut times in times.iter().cloned().chain(second) {
             let is_alone = times == Multiplier::One;
             let is_second = times.column().is_some();
-            let late = || survey.time_constant_start_values(TIME_CONSTANT_COUNT);
+            let late = || survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS);
             let of = |lag_s, form, times: &Multiplier| Dependence {
                 lag_s,
                 form,
@@ -69,7 +69,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
                 // A tool that never turned says nothing of what it does at speed.
                 let acting = active_values(survey, values, &times);
                 let levels = if column == TOOL_COLUMN {
-                    frequent_tools(&acting)
+                    find_frequent_tools(&acting)
                 } else {
                     self::find_levels(&acting)
                 };
@@ -91,7 +91,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
             if column == TOOL_COLUMN {
                 continue;
             }
-            let reference = column_origin(values);
+            let reference = reference_value(values);
             with(
                 of(0.0, DependenceForm::Line { slope: 0.0, reference }, &times),
                 StartValues::empty(),
@@ -110,7 +110,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
 }
 
 /// Proposes a bend and curves over the speed.
-fn propose_speed(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
+fn propose_speed_dependences(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
     let values = survey.column(SPEED_COLUMN).unwrap_or(&[]);
     if let Some((form, hinge_candidates)) =
         hinge_form(values).filter(|_| survey.includes_elongation())
@@ -123,9 +123,15 @@ fn propose_speed(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartVa
 }
 
 /// Proposes what depends on temperatures and is not proportional to one of them.
-fn propose_temperatures(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
-    let all: Vec<(&str, &[f64])> =
-        survey.temperatures().into_iter().filter_map(|name| varying_column(survey, name)).collect();
+fn propose_temperature_dependences(
+    survey: &dyn DataView,
+    with: &mut dyn FnMut(Dependence, StartValues),
+) {
+    let all: Vec<(&str, &[f64])> = survey
+        .temperature_columns()
+        .into_iter()
+        .filter_map(|name| varying_column(survey, name))
+        .collect();
     for (number, &(column, values)) in all.iter().enumerate() {
         if let Some((form, hinge_candidates)) = hinge_form(values) {
             with(Dependence { form, ..Dependence::from_column(column) }, hinge_candidates);
@@ -141,7 +147,7 @@ fn propose_temperatures(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, 
             let at_once = Dependence { minus, form, ..Dependence::from_column(column) };
             with(
                 Dependence { lag_s: 1.0, ..at_once.clone() },
-                survey.time_constant_start_values(TIME_CONSTANT_COUNT),
+                survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS),
             );
             with(at_once, StartValues::empty());
         }

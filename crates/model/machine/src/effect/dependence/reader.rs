@@ -13,7 +13,7 @@ use crate::{
             UM_PER_UNIT_PER_M, UM_PER_UNIT_PER_UNIT,
         },
     },
-    location::BadInput,
+    location::InputFileError,
 };
 
 /// Keys of a dependence.
@@ -43,7 +43,7 @@ pub(super) const KEYS: &[&str] = &[
 ];
 
 /// Reads a dependence.
-pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
+pub(super) fn read(section: &Section<'_>) -> Result<Dependence, InputFileError> {
     let column = read_or_default::<String>(section, &COLUMN.required())?;
     let times = match section.text(TIMES.name)? {
         None => Multiplier::One,
@@ -65,7 +65,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
             "takes a temperature from another one: both are temp_<name>_c",
         ));
     }
-    let lag_s = section.non_negative(LAG_S.name)?.unwrap_or(0.0);
+    let lag_s = section.non_negative_number(LAG_S.name)?.unwrap_or(0.0);
     let [slope_key, level_key] = times.keys();
     const FORM_CODES: [(&str, u8); 4] = [("level", 0), ("line", 1), ("hinge", 2), ("curve", 3)];
     let form = match section.required(FORM.name, section.choice(FORM.name, &FORM_CODES)?)? {
@@ -118,7 +118,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
 }
 
 /// Reads a curve.
-fn read_curve(section: &Section<'_>, times: &Multiplier) -> Result<DependenceForm, BadInput> {
+fn read_curve(section: &Section<'_>, times: &Multiplier) -> Result<DependenceForm, InputFileError> {
     if *times != Multiplier::One {
         return Err(section.key_error(TIMES.name, "does not belong to a curve"));
     }

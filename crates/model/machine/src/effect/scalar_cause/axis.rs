@@ -9,7 +9,7 @@ use crate::{
         data_view::{DataView, StartValues},
         drift::Drift,
     },
-    sections::axis::is_reverse,
+    sections::axis::is_negative_direction,
 };
 
 const BIDIRECTIONAL_TEST: &str =
@@ -21,7 +21,7 @@ const AXIS_CAUSE_DEFAULTS: ScalarCause =
 /// A backlash where the axis has a screw and was approached from both sides.
 fn propose_backlash(survey: &dyn DataView) -> Option<(f64, StartValues)> {
     let has_backlash =
-        survey.own_axis_moves() && survey.is_bidirectional() && survey.has_screw_feedback();
+        survey.has_own_axis_moved() && survey.is_bidirectional() && survey.has_screw_feedback();
     has_backlash.then(|| (0.0, StartValues::empty()))
 }
 
@@ -52,7 +52,7 @@ impl ScalarCauseDefinition for PitchScale {
             BoardTerm::OwnPosition(um_per_m) => Some(*um_per_m),
             _ => None,
         },
-        propose: |survey| survey.own_axis_moves().then(|| (0.0, StartValues::empty())),
+        propose: |survey| survey.has_own_axis_moved().then(|| (0.0, StartValues::empty())),
         sentence: |um| format!("The scale or the screw is off by {um:+.2} µm for each metre."),
         next_test: "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch.",
         repair: Some(
@@ -89,7 +89,7 @@ impl ScalarCauseDefinition for Backlash {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "backlash",
         inputs: &[Input::OwnDirection],
-        law: Some(|_, x| if is_reverse(x[0]) { 1.0 } else { 0.0 }),
+        law: Some(|_, x| if is_negative_direction(x[0]) { 1.0 } else { 0.0 }),
         on_board: |width_um| vec![BoardTerm::Reversed { width_um, um_per_m: 0.0 }],
         from_board: |_, form, _| match *form {
             BoardTerm::Reversed { width_um, um_per_m: 0.0 } => Some(width_um),
@@ -116,7 +116,7 @@ impl ScalarCauseDefinition for PositionDependentBacklash {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "position-dependent-backlash",
         inputs: &[Input::OwnPosition, Input::OwnDirection],
-        law: Some(|_, x| if is_reverse(x[1]) { x[0] / 1000.0 } else { 0.0 }),
+        law: Some(|_, x| if is_negative_direction(x[1]) { x[0] / 1000.0 } else { 0.0 }),
         on_board: |um_per_m| vec![BoardTerm::Reversed { width_um: 0.0, um_per_m }],
         from_board: |_, form, _| match *form {
             BoardTerm::Reversed { um_per_m, .. } if um_per_m != 0.0 => Some(um_per_m),
@@ -150,7 +150,8 @@ impl ScalarCauseDefinition for TimeShift {
         inputs: &[Input::Time],
         nonlinear: &[NonlinearParameter::Shift],
         propose: |survey| {
-            (survey.predicted_peak_to_peak() > 0.0).then(|| (0.0, survey.time_shift_start_values()))
+            (survey.predicted_peak_to_peak_um() > 0.0)
+                .then(|| (0.0, survey.time_shift_start_values()))
         },
         sentence: |s| {
             format!("The measurement and the model's inputs are {s:.1} s apart: two clocks differ.")

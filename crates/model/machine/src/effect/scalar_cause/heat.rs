@@ -6,7 +6,9 @@ use crate::{
         cause_spec::{
             BoardTerm, Input, NonlinearParameter, PredictionStage, Target, format_duration,
         },
-        data_view::{FINE_TIME_CONSTANT_COUNT, StartValues, TIME_CONSTANT_COUNT, peak_to_peak},
+        data_view::{
+            FINE_TIME_CONSTANT_GRID_POINTS, StartValues, TIME_CONSTANT_GRID_POINTS, peak_to_peak,
+        },
     },
     sections::ElongationSource,
 };
@@ -90,7 +92,7 @@ impl ScalarCauseDefinition for GrowthRate {
         },
         propose: |survey| {
             (survey.elongation_source() == Some(ElongationSource::Warmup))
-                .then(|| (0.0, survey.time_constant_start_values(FINE_TIME_CONSTANT_COUNT)))
+                .then(|| (0.0, survey.time_constant_start_values(FINE_TIME_CONSTANT_GRID_POINTS)))
         },
         sentence: |s| {
             format!("The spindle warms up with a time constant of {}.", format_duration(s))
@@ -133,7 +135,7 @@ impl ScalarCauseDefinition for CoolingAsymmetry {
             let lags =
                 |believed_s| believed_s > 0.0 || survey.has_cause(ThermalLag::DEFINITION.name);
             (survey.modelled_lag_s().is_some_and(lags) || is_warmup && stood())
-                .then(|| (0.0, survey.time_constant_start_values(FINE_TIME_CONSTANT_COUNT)))
+                .then(|| (0.0, survey.time_constant_start_values(FINE_TIME_CONSTANT_GRID_POINTS)))
         },
         sentence: |s| {
             format!("It cools down with a time constant of its own: {}.", format_duration(s))
@@ -178,8 +180,11 @@ impl ScalarCauseDefinition for ThermalLag {
             if survey.has_cause("thermometer-lag") {
                 return None;
             }
-            let count =
-                if believed_s > 0.0 { FINE_TIME_CONSTANT_COUNT } else { TIME_CONSTANT_COUNT };
+            let count = if believed_s > 0.0 {
+                FINE_TIME_CONSTANT_GRID_POINTS
+            } else {
+                TIME_CONSTANT_GRID_POINTS
+            };
             Some((0.0, survey.time_constant_start_values(count)))
         },
         sentence: |s| {
@@ -206,8 +211,8 @@ impl ScalarCauseDefinition for ExpansionConstant {
         neutral: NeutralValue::Believed,
         // A table has no constant to correct, and the mode "position" does not use it.
         refusal: |host| {
-            let is_used = host.thermal.is_none_or(|thermal| thermal.mode.has_constant());
-            host.thermal_constant_refusal().or_else(|| {
+            let is_used = host.thermal.is_none_or(|thermal| thermal.mode.has_constant_term());
+            host.thermal_constant_rejection_reason().or_else(|| {
                 (!is_used)
                     .then(|| "corrects a constant that the mode \"position\" does not use".into())
             })
@@ -219,7 +224,7 @@ impl ScalarCauseDefinition for ExpansionConstant {
         },
         propose: |survey| {
             let thermal = survey.active_thermal_law()?;
-            (thermal.mode.has_constant() && thermal.table.is_none())
+            (thermal.mode.has_constant_term() && thermal.table.is_none())
                 .then(|| (thermal.constant_um_per_c, StartValues::empty()))
         },
         sentence: |um_per_c| {
@@ -251,15 +256,15 @@ impl ScalarCauseDefinition for ExpansionSlope {
         name: "expansion-slope",
         neutral: NeutralValue::Believed,
         // Another reference moves a table along the temperature; another slope has no place in it.
-        refusal: |host| host.thermal_constant_refusal(),
+        refusal: |host| host.thermal_constant_rejection_reason(),
         correct: |um_per_m_per_c, constants| {
             if let Some(thermal) = &mut constants.thermal {
                 thermal.slope_um_per_m_per_c = um_per_m_per_c;
             }
         },
         propose: |survey| {
-            let thermal = survey.active_thermal_law().filter(|_| survey.own_axis_moves())?;
-            (thermal.mode.has_position() && thermal.table.is_none())
+            let thermal = survey.active_thermal_law().filter(|_| survey.has_own_axis_moved())?;
+            (thermal.mode.has_position_term() && thermal.table.is_none())
                 .then(|| (thermal.slope_um_per_m_per_c, StartValues::empty()))
         },
         sentence: |um| format!("The axis expands by {um:+.3} µm/(m·K) more than believed."),
@@ -288,8 +293,8 @@ impl ScalarCauseDefinition for ReferenceTemperature {
             }
         },
         propose: |survey| {
-            let thermal = survey.active_thermal_law().filter(|_| survey.own_axis_moves())?;
-            thermal.mode.has_position().then(|| (0.0, StartValues::empty()))
+            let thermal = survey.active_thermal_law().filter(|_| survey.has_own_axis_moved())?;
+            thermal.mode.has_position_term().then(|| (0.0, StartValues::empty()))
         },
         sentence: |shift_c| {
             format!(

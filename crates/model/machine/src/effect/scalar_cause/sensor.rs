@@ -164,7 +164,7 @@ impl ScalarCauseDefinition for CentrifugalGrowth {
             _ => None,
         },
         propose: |survey| {
-            let is_there = survey.includes_elongation() && survey.varies("spindle_rpm");
+            let is_there = survey.includes_elongation() && survey.is_varying("spindle_rpm");
             is_there.then(|| (0.0, StartValues::empty()))
         },
         sentence: |um| {
@@ -195,7 +195,7 @@ impl ScalarCauseDefinition for CuttingLoad {
             _ => None,
         },
         propose: |survey| {
-            let is_there = survey.includes_elongation() && survey.varies("load_n");
+            let is_there = survey.includes_elongation() && survey.is_varying("load_n");
             is_there.then(|| (0.0, StartValues::empty()))
         },
         sentence: |um| format!("The cut pushes the tool back by {:.2} µm for 1000 N.", um * 1000.0),

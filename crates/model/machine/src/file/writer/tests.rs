@@ -11,7 +11,7 @@ fn sensor() -> NewSection {
         .with_header_comment("15 rows, 0.84 µm RMS")
 }
 
-fn applied(source: &str, edit: &Edit) -> String {
+fn applied(source: &str, edit: &MachineFileEdit) -> String {
     edit.apply(source, Path::new(PATH)).expect("a machine file and a valid section")
 }
 
@@ -27,12 +27,12 @@ fn a_section_that_is_there_is_replaced_and_nothing_else_changes() {
     let expected = source
         .replace("k0_um=0", "k0_um=-4.0")
         .replace("um_per_count = 0.0152587890625", "um_per_count = 0.0197982765213");
-    assert_eq!(applied(&source, &Edit::from_section(sensor())), expected);
+    assert_eq!(applied(&source, &MachineFileEdit::from_section(sensor())), expected);
 }
 
 #[test]
 fn a_section_that_is_not_there_is_added_with_its_remark_and_its_source() {
-    let mut edit = Edit::from_section(sensor());
+    let mut edit = MachineFileEdit::from_section(sensor());
     edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
     let text = applied(PLAIN, &edit);
     assert_eq!(
@@ -64,7 +64,7 @@ fn it_makes_no_difference_how_the_user_wrote_the_section() {
         "[axis]\nx.feedback = \"scale\"\n".into(),
     ];
     for form in forms {
-        let mut edit = Edit::from_section(sensor());
+        let mut edit = MachineFileEdit::from_section(sensor());
         let pitch = NewSection::new("axis.x.pitch").with_number("start_mm", 0.0);
         let pitch = pitch.with_number("step_mm", 0.1).with_numbers("forward_um", [0.1 + 0.2; 20]);
         edit.sections.push(pitch);
@@ -85,7 +85,7 @@ fn what_contradicts_the_new_section_is_taken_away() {
     let pitch =
         NewSection::new("axis.x.pitch").with_number("start_mm", 0.0).with_number("step_mm", 1.0);
     let pitch = pitch.with_numbers("forward_um", [0.0, 1.0]).with_numbers("reverse_um", [1.0, 2.0]);
-    let mut edit = Edit::from_section(pitch);
+    let mut edit = MachineFileEdit::from_section(pitch);
     let refused = edit.apply(&source, Path::new(PATH)).expect_err("both tables and backlash");
     assert!(refused.rule.starts_with("with what is to be written: "), "{refused}");
     edit.removed.push("axis.x.backlash".into());
@@ -98,14 +98,15 @@ fn what_contradicts_the_new_section_is_taken_away() {
 #[test]
 fn windows_line_ends_and_the_byte_order_mark_stay() {
     let source = format!("\u{feff}{}", PLAIN.replace('\n', "\r\n"));
-    let text = applied(&source, &Edit::from_section(sensor()));
+    let text = applied(&source, &MachineFileEdit::from_section(sensor()));
     assert!(text.starts_with("\u{feff}# my mill\r\n"));
     assert_eq!(text.matches('\n').count(), text.matches("\r\n").count());
 }
 
 #[test]
 fn the_section_alone_is_the_same_section() {
-    let alone = Edit::from_section(sensor().with_header_comment("a line\nbreak")).to_toml();
+    let alone =
+        MachineFileEdit::from_section(sensor().with_header_comment("a line\nbreak")).to_toml();
     assert_eq!(
         alone,
         "# 15 rows, 0.84 µm RMS\n# a line break\n[spindle.sensor]\nk0_um = -4.0\n\
@@ -121,7 +122,7 @@ fn every_number_reads_back_to_the_same_bits() {
     for number in [1e-300, 1.0 / 3.0, -0.1, 1e22, 123_456_789.123_456_79, 5e-324, 1e300] {
         let section = NewSection::new("axis.x.pitch").with_number("start_mm", number);
         let section = section.with_number("step_mm", 1.0).with_numbers("forward_um", [number]);
-        let text = applied(PLAIN, &Edit::from_section(section));
+        let text = applied(PLAIN, &MachineFileEdit::from_section(section));
         let machine = MachineFile::parse(&text, Path::new(PATH)).expect("checked by apply");
         let pitch = machine.axes[0].pitch.as_ref().expect("just written");
         assert_eq!(pitch.start_mm.to_bits(), number.to_bits(), "{text}");
@@ -139,7 +140,8 @@ fn rounding_takes_what_the_measurement_cannot_give() {
 
 #[test]
 fn a_file_that_is_no_file_is_refused_at_its_own_place() {
-    let error = Edit::from_section(sensor()).apply("[machine]\nnam = 1\n", Path::new(PATH));
+    let error =
+        MachineFileEdit::from_section(sensor()).apply("[machine]\nnam = 1\n", Path::new(PATH));
     let error = error.expect_err("a misspelt key").to_string();
     assert_eq!(error, "m.toml:2:1: unknown key machine.nam; did you mean name?");
 }
@@ -153,7 +155,7 @@ fn gain() -> NewSection {
 
 #[test]
 fn a_table_is_appended_after_the_last_of_its_array_or_at_the_end() {
-    let edit = Edit { appended: vec![gain(), gain()], ..Edit::default() };
+    let edit = MachineFileEdit { appended: vec![gain(), gain()], ..MachineFileEdit::default() };
     let written = "\n[[term]]\ncause = \"sensor-gain\"\nquantity = \"elongation\"\ngain = 1.25\n";
     // Sections that are not next to their kin, a comment, no line end at the end.
     let source = format!(
@@ -178,7 +180,7 @@ fn a_table_is_appended_after_the_last_of_its_array_or_at_the_end() {
 
 #[test]
 fn a_table_is_replaced_where_it_stands_and_comments_stay() {
-    let edit = Edit { replaced: vec![(1, gain())], ..Edit::default() };
+    let edit = MachineFileEdit { replaced: vec![(1, gain())], ..MachineFileEdit::default() };
     let term = |gain: &str| {
         format!(
             "[[term]] # seen in May\ncause = \"sensor-gain\"\nquantity = \"elongation\"\n{gain}\n"
@@ -200,7 +202,7 @@ fn a_note_stands_next_to_a_new_key_and_an_inline_table_on_its_line() {
     let max =
         Value::Inline(vec![("x".into(), Value::Number(1e-7)), ("z".into(), Value::Number(2.0))]);
     let limits = NewSection::new("limits").with_value("max_um", max).with_integer("hold_ms", 7);
-    let edit = Edit::from_section(limits.with_key_comment("hold_ms", "of\nthe board"));
+    let edit = MachineFileEdit::from_section(limits.with_key_comment("hold_ms", "of\nthe board"));
     let section = "[limits]\nmax_um = { x = 1e-7, z = 2.0 }\nhold_ms = 7";
     assert_eq!(edit.to_toml(), format!("{section} # of the board\n"));
     let source = format!("{PLAIN}\n[limits]\nhold_ms = 9 # mine\n");
@@ -215,7 +217,8 @@ fn a_text_of_any_characters_reads_back() {
         .with_text("cause", "reference-instrument")
         .with_text("quantity", "dx")
         .with_text("description", description);
-    let text = applied(PLAIN, &Edit { appended: vec![term], ..Edit::default() });
+    let text =
+        applied(PLAIN, &MachineFileEdit { appended: vec![term], ..MachineFileEdit::default() });
     let machine = MachineFile::parse(&text, Path::new(PATH)).expect("checked by apply");
     assert!(format!("{:?}", machine.terms[0]).contains(&format!("{description:?}")), "{text}");
 }

@@ -11,7 +11,7 @@ use std::{
 };
 
 use trueup_core::{
-    bridge::{Input, Reference},
+    bridge::{ReferenceErrors, TickInput},
     cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
     dimensions::CODES_PER_TICK,
     units::{AdcCode, Nanometres, Position, Rpm},
@@ -153,7 +153,7 @@ fn is_opened_again(received: &Mutex<ReceivedBytes>) -> bool {
 fn take_load(node: &mut Node<'_>, fault: PretendedFault, stored: &mut Option<Vec<u8>>) {
     if let Some(mut load) = node.take_received_calibration() {
         let mut outcome = LoadOutcome::Stored;
-        match load.validate() {
+        match load.validate_blob() {
             Err(_) => outcome = LoadOutcome::Refused,
             Ok(_) if fault == PretendedFault::Full => outcome = LoadOutcome::NotStored,
             Ok(blob) => *stored = Some(blob.to_vec()),
@@ -173,7 +173,7 @@ fn restarted(
     let blob = loaded.unwrap_or_else(|| node.calibration_blob().to_vec());
     let (mut node, port) = started(Box::leak(blob.into()));
     if let Some(mut standing) = standings.get(&calibration_crc(node.calibration_blob())).copied() {
-        standing.is_offered |= is_loaded && standing.reference != Reference::default();
+        standing.is_offered |= is_loaded && standing.reference != ReferenceErrors::default();
         node.restore_reference_status(standing, None);
     }
     (node, port)
@@ -203,7 +203,8 @@ pub fn live(
     let mut standings = BTreeMap::new();
     if fault == PretendedFault::Zeroed {
         let elongation = Nanometres(2_500);
-        let standing = ReferenceStatus::in_force(Reference { elongation, ..Reference::default() });
+        let standing =
+            ReferenceStatus::in_force(ReferenceErrors { elongation, ..ReferenceErrors::default() });
         node.restore_reference_status(standing, None);
         standings.insert(calibration_crc(node.calibration_blob()), standing);
     }
@@ -270,7 +271,7 @@ pub fn live(
             control += 1;
         }
         let speed = Some(Rpm(24_000));
-        let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
+        let sent = node.tick(1, TickInput { codes: Some(&codes), speed, ..TickInput::default() });
         let sent = sent.into_iter().chain(node.service());
         if fault != PretendedFault::NoFrames {
             for frame in &sent.collect::<Vec<_>>() {

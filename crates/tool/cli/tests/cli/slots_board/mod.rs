@@ -21,7 +21,7 @@ use trueup_boot::{
     start::{ClockSpeed, StartOutcome, StartSelection, select_image},
     update::{self, Update},
 };
-use trueup_core::{bridge::Input, cnc::Control};
+use trueup_core::{bridge::TickInput, cnc::Control};
 use trueup_emulator::slots::sign_update;
 use trueup_link::{frames, layout::SDO_RESPONSE_ID, slcan::Port};
 use trueup_node::node::{
@@ -238,7 +238,7 @@ impl Board {
             if self.setup.cut_at.is_some_and(|at| received >= at) {
                 (tools.stream, self.setup.cut_at) = (None, None);
             }
-            let offsets = self.node.tick(1, Input::default());
+            let offsets = self.node.tick(1, TickInput::default());
             for frame in offsets.into_iter().chain(self.node.service()).collect::<Vec<_>>() {
                 let is_answer =
                     frame.id() == SDO_RESPONSE_ID && matches!(frame.data()[0], 0xA1 | 0xA2);

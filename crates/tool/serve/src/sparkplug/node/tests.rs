@@ -2,9 +2,12 @@ use super::*;
 use crate::sparkplug::decode_metrics;
 use srad_types::payload::{Message as _, Payload};
 
-fn bridge(serial: u32, x_um: f64) -> Snapshot {
-    let mut bridge =
-        Snapshot { is_up: true, offset_um: [Some(x_um), None, None], ..Snapshot::default() };
+fn bridge(serial: u32, x_um: f64) -> BridgeSnapshot {
+    let mut bridge = BridgeSnapshot {
+        is_up: true,
+        offset_um: [Some(x_um), None, None],
+        ..BridgeSnapshot::default()
+    };
     bridge.identity.serial = Some(serial);
     bridge
 }
@@ -14,7 +17,7 @@ fn node() -> EdgeNode {
 }
 
 /// Returns the topics without those of the retained state, shortened, with their sequence numbers.
-fn numbered(messages: &[Message]) -> Vec<(String, Option<u64>)> {
+fn numbered(messages: &[MqttMessage]) -> Vec<(String, Option<u64>)> {
     let live = messages.iter().filter(|message| !message.is_retained);
     live.map(|message| {
         let topic = message.topic.replace("spBv1.0/trueup/", "");
@@ -32,7 +35,7 @@ fn births_come_in_order_and_then_only_what_has_changed() {
     let mut node = node();
     node.begin_connection();
     let own = NodeStatistics::default();
-    let bridges = [bridge(0xAB, 1.0), Snapshot::default()];
+    let bridges = [bridge(0xAB, 1.0), BridgeSnapshot::default()];
     let births = node.update(own, &bridges, 1);
     assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/000000ab", 1)]));
     assert_eq!(node.update(own, &bridges, 2), []);
@@ -63,7 +66,7 @@ fn a_bridge_that_is_lost_or_exchanged_dies() {
     let exchanged = node.update(NodeStatistics::default(), &[bridge(2, 0.0)], 2);
     let all = [("DDEATH/n/00000001", 2), ("DBIRTH/n/00000002", 3)];
     assert_eq!(numbered(&exchanged), expected(&all));
-    let lost = Snapshot { is_up: false, ..bridge(2, 0.0) };
+    let lost = BridgeSnapshot { is_up: false, ..bridge(2, 0.0) };
     let messages = node.update(NodeStatistics::default(), std::slice::from_ref(&lost), 3);
     assert_eq!(numbered(&messages), expected(&[("DDEATH/n/00000002", 4)]));
     let retained = messages
@@ -79,7 +82,7 @@ fn a_bridge_that_is_lost_or_exchanged_dies() {
 #[test]
 fn the_number_of_the_connection_ties_a_death_to_its_birth_and_comes_round() {
     let mut node = node();
-    let number = |message: &Message| {
+    let number = |message: &MqttMessage| {
         let metrics = decode_metrics(&message.payload).expect("a payload");
         metrics
             .iter()
