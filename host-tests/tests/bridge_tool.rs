@@ -110,7 +110,7 @@ fn printed(command: &mut Command) -> Result<String> {
 }
 
 #[test]
-fn the_example_of_a_client_hears_the_offsets_of_the_board() -> Result<()> {
+fn the_example_of_a_client_receives_the_offsets_of_the_board() -> Result<()> {
     let bridge = BridgeProcess::start_grown()?;
     let mut offsets = 0;
     listen::listen(&format!("tcp:{}", bridge.address()), Duration::from_secs(1), |event| {

@@ -165,8 +165,7 @@ mod tests {
     fn a_crate_stands_below_its_room_with_its_description() {
         let rooms = [("crates/board".to_owned(), "what the board runs".to_owned())];
         let html = front_page_html(&rooms, &[a_crate("crates/board/core")]).unwrap();
-        let line =
-            "<li><a href=\"trueup_core/index.html\">trueup-core</a>: what a &lt; b does</li>";
+        let line = "<li><a href=\"trueup_core/index.html\"><span class=\"w\">trueup-core</span></a>: what a &lt; b does</li>";
         assert!(html.find(line) > html.find("<p>what the board runs</p>"), "{html}");
         let error = front_page_html(&rooms, &[a_crate("crates/attic/core")]).unwrap_err();
         assert!(error.to_string().contains("no room"), "{error}");

@@ -61,8 +61,8 @@ fn reference_rows() -> Vec<PageRow> {
         PageRow::new(
             EntryContent::Forget,
             format!(
-                "`back` offers the operator what was written to {written}; `zero` declines what is offered, or drops \
-                 what is in force; each as four bytes of text"
+                "`back` offers the operator what was written to {written}. `zero` declines what is offered, or drops \
+                 what is in force. Each is four bytes of text"
             ),
         ),
         PageRow::new(
@@ -103,7 +103,7 @@ fn calibration_rows() -> Vec<PageRow> {
         PageRow::new(
             EntryContent::DropNew,
             format!(
-                "`drop`, as four bytes of text, drops the calibration for the next start: the board stores its running \
+                "`drop`, as four bytes of text, drops the calibration for the next start. The board stores its running \
                  calibration once more, and {pending} is 0 then"
             ),
         ),
@@ -124,7 +124,7 @@ fn firmware_rows() -> Vec<PageRow> {
         PageRow::new(
             EntryContent::FirmwareImage,
             format!(
-                "image: the bytes behind {received}, in one transfer or several; the last segment of the last one is \
+                "image: the bytes behind {received}, in one transfer or several. The last segment of the last one is \
                  answered when CRC, SHA-256 and signature hold in the flash"
             ),
         ),
