@@ -84,7 +84,7 @@ impl MemoryLayout {
         if has_feature("SLOTS") {
             let header = start - u32::try_from(HEADER_SIZE).expect("512");
             memory += &format!(
-                "MEMORY {{ BOOT : ORIGIN = {FLASH_START:#x}, LENGTH = {MAX_BOOT_SIZE} \
+                "MEMORY {{ BOOT : ORIGIN = {FLASH_START:#x}, LENGTH = {MAX_BOOT_PROGRAM_SIZE} \
                  HEADER : ORIGIN = {header:#x}, LENGTH = {HEADER_SIZE} }}\n\
                  SECTIONS {{ .boot : {{ KEEP(*(.boot)) }} > BOOT \
                  .slot_header : {{ KEEP(*(.slot_header)) }} > HEADER }} INSERT BEFORE .vector_table;\n"

@@ -159,15 +159,15 @@ mod app {
         let (buffer, store) = parts.loading.unzip();
         let (references, kept) = parts.references;
         let own =
-            faults.active_faults().fold(Faults::default(), |all, fault| all.with_if(true, fault));
+            faults.active_faults().fold(Faults::default(), |all, fault| all.with_fault_if(true, fault));
         let configure = |calibration| Configuration {
             calibration,
             blob: parts.blob,
             buffer,
             is_degraded: faults.uses_fallback(),
             faults: own
-                .with_if(parts.is_example, Fault::ExampleConstants)
-                .with_if(parts.self_test.is_damaged(), Fault::SelfTest),
+                .with_fault_if(parts.is_example, Fault::ExampleConstants)
+                .with_fault_if(parts.self_test.is_damaged(), Fault::SelfTest),
             questions: Faults::default().with_fault_if(parts.is_older, Fault::OlderCalibration),
             start: parts.start,
             serial_number: parts.serial_number,

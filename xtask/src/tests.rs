@@ -9,7 +9,7 @@ use trueup_emulator::{process, setup};
 use super::Cli;
 
 /// A command ends at the first of these: the end of a code span, a comment, a variable, a line that goes on, a pipe.
-const ENDS: [char; 9] = ['`', '#', '$', '\\', '|', '&', ';', '…', '\n'];
+const ENDS: [char; 10] = ['`', '"', '#', '$', '\\', '|', '&', ';', '…', '\n'];
 
 /// Returns the text files that name commands, with their paths below the project's root.
 fn documents() -> Vec<(String, String)> {

@@ -20,14 +20,14 @@ use stm32f4xx_hal::{
 };
 use trueup_store::{
     calendar,
-    retained::{self, COPY_SIZE, RetainedCopies},
+    retained::{self, RETAINED_COPY_SIZE, RetainedCopies},
 };
 
 use super::{poll_until, watchdog::ResetCause};
 
 /// The backup SRAM (section 2.3, table 1), taken in words.
 const BACKUP_SRAM: *mut u32 = 0x4002_4000 as *mut u32;
-const _: () = assert!(COPY_SIZE.is_multiple_of(4) && 2 * COPY_SIZE <= 4096);
+const _: () = assert!(RETAINED_COPY_SIZE.is_multiple_of(4) && 2 * RETAINED_COPY_SIZE <= 4096);
 /// In the first backup register: the clock has been set by this firmware, and counts in seconds.
 const CLOCK_SET_MAGIC: u32 = u32::from_be_bytes(*b"heat");
 /// The two keys that unlock the clock's registers (section 26.3.5), and what is none.
@@ -73,7 +73,7 @@ impl BackupDomain {
         if !self.was_cut {
             return 0;
         }
-        copies.fill([0; COPY_SIZE]);
+        copies.fill([0; RETAINED_COPY_SIZE]);
         self.with_write_access(|| {
             for (n, word) in words_mut(copies).enumerate() {
                 // SAFETY: an aligned word of the SRAM, whose clock is on; any bits are a value of it.
@@ -88,7 +88,7 @@ impl BackupDomain {
             Some(off_s) => defmt::info!("the power was gone for {=u32} s", off_s),
             None => {
                 defmt::info!("nothing is known of before the power cut");
-                copies.fill([0; COPY_SIZE]);
+                copies.fill([0; RETAINED_COPY_SIZE]);
                 self.store(copies);
             }
         }

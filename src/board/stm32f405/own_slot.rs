@@ -17,7 +17,7 @@ use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
     boot_state::ImageStatus,
     flash_layout::{HANDOVER_START, Slot},
-    handover::{StartInfo, WORD_COUNT},
+    handover::{StartInfo, HANDOVER_WORD_COUNT},
     header::{HEADER_SIZE, Version},
     image_check::{Image, ImageDefect, read_header},
     journal::Journal,
@@ -26,7 +26,7 @@ use trueup_boot::{
     update::{Update, UpdateError, announce_reset, confirm, slot_at},
 };
 use trueup_canopen::dictionary::FIRMWARE_HEADER_BYTES;
-use trueup_core::cnc::Quality;
+use trueup_core::cnc::OffsetQuality;
 use trueup_node::node::firmware::{FirmwareChunk, SlotStates, UpdateStep};
 
 use super::{mpu, slot_flash, watchdog::Watchdog};
@@ -186,10 +186,10 @@ impl OwnSlot {
     }
 
     /// A turn of the supervisor.
-    pub fn update_confirmation(&mut self, quality: Quality, elapsed_ms: u32) {
+    pub fn update_confirmation(&mut self, quality: OffsetQuality, elapsed_ms: u32) {
         let Some(image) = self.image else { return };
         let is_healthy =
-            matches!(quality, Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel);
+            matches!(quality, OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel);
         self.healthy_ms = if is_healthy { self.healthy_ms.saturating_add(elapsed_ms) } else { 0 };
         let status = self.journal.state().status(image.header.slot, image.tag);
         if self.healthy_ms < CONFIRM_TIME_MS || status == ImageStatus::Confirmed {
@@ -214,8 +214,8 @@ impl OwnSlot {
 
 /// Returns the words that the boot program has handed over, and clears them.
 #[allow(unsafe_code, reason = "words that both programs know by their address")]
-fn take_handover() -> [u32; WORD_COUNT] {
-    let mut words = [0; WORD_COUNT];
+fn take_handover() -> [u32; HANDOVER_WORD_COUNT] {
+    let mut words = [0; HANDOVER_WORD_COUNT];
     for (at, word) in (HANDOVER_START..).step_by(4).zip(&mut words) {
         let place = at as *mut u32;
         // SAFETY: an aligned word of the RAM above the stack, which nothing else of this image uses.

@@ -80,7 +80,7 @@ use trueup_machine::{
 };
 pub use trueup_page::Provenance;
 
-/// The instruction for [`Report::missing_inputs`].
+/// The instruction for [`DiagnosisReport::missing_inputs`].
 pub const MISSING_INPUTS_INSTRUCTION: &str = "the board reads a thermometer, and receives a \
     condition, only where [inputs] states its channel or bit. Add these lines there, with your \
     channel, kind or bit";

@@ -266,7 +266,7 @@ pub struct SplineFit {
 /// or nearly).
 ///
 /// # Panics
-/// As [`basis`].
+/// As [`evaluate_basis`].
 #[must_use]
 pub fn fit_least_squares_spline(
     knots: Vec<f64>,

@@ -1,8 +1,8 @@
 //! From measured runs to the sections of a machine file.
 //!
-//! Each fit takes [runs without what a bridge applied](trueup_machine::applied_offsets::UncompensatedRun) and gives a [`Report`]: the constants with their
+//! Each fit takes [runs without what a bridge applied](trueup_machine::applied_offsets::UncompensatedRun) and gives a [`FitReport`]: the constants with their
 //! intervals, the residuals on the rows that were fitted and on rows that were held out, the rows
-//! that were excluded and why, and the [`Edit`](trueup_machine::file::writer::Edit) that takes the constants into a machine file. A
+//! that were excluded and why, and the [`Edit`](trueup_machine::file::writer::MachineFileEdit) that takes the constants into a machine file. A
 //! run that no correction makes better is answered with [`FitVerdict::DoNotCompensate`] and the
 //! figures that say so.
 //!

@@ -1,7 +1,7 @@
 //! The shape that every fit's outcome has, so that one printer serves all fits.
 //!
-//! A fit fills in a [`Report`]; what only it knows (the figures of ISO 230-2, the number of knots)
-//! goes into [`Report::facts`]. Nothing is printed here: text and JSON are the command's business.
+//! A fit fills in a [`FitReport`]; what only it knows (the figures of ISO 230-2, the number of knots)
+//! goes into [`FitReport::facts`]. Nothing is printed here: text and JSON are the command's business.
 
 use std::fmt;
 
@@ -132,7 +132,7 @@ pub struct FitFact {
     pub value: FitFactValue,
 }
 
-/// The value of a [`Fact`].
+/// The value of a [`FitFact`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum FitFactValue {
     /// One number.

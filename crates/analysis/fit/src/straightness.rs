@@ -246,7 +246,7 @@ pub enum StraightnessFitError {
 /// equal positions are repeats.
 ///
 /// # Errors
-/// See [`FitError`].
+/// See [`StraightnessFitError`].
 pub fn fit(
     along_mm: &[f64],
     error_um: &[f64],

@@ -124,7 +124,7 @@ impl Whitener {
 }
 
 impl Whitener {
-    /// [`apply`](Self::apply) to each of `columns`.
+    /// [`apply`](Self::whiten) to each of `columns`.
     pub fn whiten_columns<'c>(
         &self,
         columns: impl IntoIterator<Item = &'c Vec<f64>>,
@@ -136,7 +136,7 @@ impl Whitener {
         all.chunks_exact(rows.max(1)).map(<[f64]>::to_vec).collect()
     }
 
-    /// [`apply`](Self::apply) to each of `columns`, one after the other into `out`, which has as many numbers
+    /// [`apply`](Self::whiten) to each of `columns`, one after the other into `out`, which has as many numbers
     /// as all of them.
     pub fn whiten_columns_into(&self, columns: &[&Vec<f64>], out: &mut [f64]) {
         /// Columns side by side: one alone waits for each step.

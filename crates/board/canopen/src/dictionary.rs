@@ -284,7 +284,7 @@ pub enum CrashDetail {
     Task,
 }
 
-/// A counter of [`trueup_link::receiver::Counters`].
+/// A counter of [`trueup_link::receiver::FrameCounters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReceiverCounter {
     /// Valid frames, which were used.

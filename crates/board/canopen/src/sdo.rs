@@ -28,7 +28,7 @@ pub use abort::AbortCode;
 pub(crate) const SDO_TIMEOUT_MS: u32 = 5_000;
 /// Bytes of data in a segment.
 const SEGMENT_BYTES: usize = 7;
-/// Segments of a block: [`ObjectAccess::is_ready`] is asked for room for them before each block. No command that starts a transfer
+/// Segments of a block: [`ObjectAccess::has_room_for_block`] is asked for room for them before each block. No command that starts a transfer
 /// is a number up to this one, so a new master is answered where an old one has left a block unfinished.
 pub const SEGMENTS_PER_BLOCK: u8 = 31;
 

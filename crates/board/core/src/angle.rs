@@ -49,7 +49,7 @@ const SINE_COEFFICIENTS: [i32; 5] =
 /// c₀…c₃, all negative, in Q32, Q34, Q36, Q38.
 const COSINE_COEFFICIENTS: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537, -1_096_566];
 
-/// Sine and cosine of an angle, Q30: [`Direction::ONE`] is 1.
+/// Sine and cosine of an angle, Q30: [`ToolDirection::ONE`] is 1.
 ///
 /// ```
 /// use trueup_core::{angle::sin_cos, units::MicroDegrees};

@@ -22,7 +22,7 @@
 //! stored and not the start because then the comparison that ends the search is with the word
 //! that t needs anyway.
 //!
-//! Range: any B-spline with control points within ±262 µm fits unchanged ([`Segment::is_sound`]); a
+//! Range: any B-spline with control points within ±262 µm fits unchanged ([`Segment::is_valid_for_reach`]); a
 //! larger one fits after its segments are halved. Sums wrap, because a sound segment cannot
 //! overflow and an unsound one is refused when it is loaded. Worst error against `f64`, measured
 //! by the test below over 600 curves of 1…512 segments, 0.1 mm to 20 m long, up to ±250 µm: 0.028 nm

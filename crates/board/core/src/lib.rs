@@ -32,7 +32,7 @@
 //! | m | coefficient of a term | mantissa/2^shift ([`fixed_point::ScaledCoefficient`]) | | [`term`] | |
 //!
 //! Reference: the error that counts as zero, taken when the operator requests it
-//! ([`bridge::Reference`]). Source: gives the elongation ([`calibration::ElongationSource`]).
+//! ([`bridge::ReferenceErrors`]). Source: gives the elongation ([`calibration::ElongationSource`]).
 //! Quality, flags: how good an offset is, and why it is not the full correction ([`cnc`]).
 //!
 //! Configuration ([`calibration`]) and state ([`bridge::State`]) are apart, time is an argument,

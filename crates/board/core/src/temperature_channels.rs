@@ -31,7 +31,7 @@ pub struct TemperatureChannel {
 }
 
 impl TemperatureChannel {
-    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited`].
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited_reading`].
     pub fn receive(&mut self, reading: Option<Temperature>) {
         self.receive_rate_limited_reading(
             reading.ok_or(ThermometerFault::Missing),
@@ -144,7 +144,7 @@ impl TemperatureChannels {
         );
     }
 
-    /// Takes what the thermometer of a channel reads, as [`TemperatureChannel::receive_rate_limited`]. One that has stopped while another has not
+    /// Takes what the thermometer of a channel reads, as [`TemperatureChannel::receive_rate_limited_reading`]. One that has stopped while another has not
     /// reads nothing that could be believed ([`FreezeDetector`]). Returns the temperature that is believed now.
     pub fn receive_rate_limited(
         &mut self,

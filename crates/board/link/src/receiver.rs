@@ -1,7 +1,7 @@
 //! From received frames to what they say: only whole, new frames in order get through, and
-//! everything refused is counted. Each identifier is a [`Stream`] of its own, which is trusted or not.
+//! everything refused is counted. Each identifier is a [`FrameStream`] of its own, which is trusted or not.
 //!
-//! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
+//! [`CncReceiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
 //! CNC's, or a monitor's, ears for the board.
 
 use trueup_core::cnc::{CncMessage, LinearAxis, Output};

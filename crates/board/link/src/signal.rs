@@ -54,7 +54,7 @@ impl Signal {
         1_i32.wrapping_shl(magnitude_bits as u32).wrapping_sub(1)
     }
 
-    /// Writes a raw value, saturated to [`Self::min`]…[`Self::max`]; all other bits stay.
+    /// Writes a raw value, saturated to [`Self::min_raw`]…[`Self::max_raw`]; all other bits stay.
     pub fn insert(self, data: &mut [u8; 8], raw: i32) {
         let start = u32::from(self.start);
         let mask = u64::MAX.wrapping_shr(64_u32.saturating_sub(self.length.into()));

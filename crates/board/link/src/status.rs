@@ -116,7 +116,7 @@ pub enum StatusItem {
         /// RMS noise of the raw codes in thousandths of a code.
         noise_thousandths: u16,
         /// Faults, bit n is fault n of the DBC's `Fault`; those from 16 on are in
-        /// [`Item::State`].
+        /// [`StatusItem::State`].
         faults: u16,
     },
     /// Conditions of the bridge that a CNC must know in addition to the offsets.

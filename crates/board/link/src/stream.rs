@@ -85,7 +85,7 @@ impl FrameStream {
     /// Returns how many frames were lost before this one, if it is to be used.
     ///
     /// # Errors
-    /// The frame must not be used: for what it is, as [`Checker::accept`], or for what came before it.
+    /// The frame must not be used: for what it is, as [`Checker::check`], or for what came before it.
     pub fn accept(&mut self, frame: &Frame) -> Result<u8, StreamError> {
         let verdict = self.checker.check(frame);
         let is_damaged = matches!(verdict, Err(E2eError::Crc { .. } | E2eError::TooShort { .. }));

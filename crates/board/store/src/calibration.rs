@@ -98,7 +98,7 @@ use wire::{Field as _, Reader, Writer};
 /// Writes the blob of a calibration, also of one that [`decode`] would refuse; gives its bytes.
 ///
 /// # Errors
-/// [`TooLarge`]: it does not fit `out` (or [`MAX_BLOB_SIZE`]).
+/// [`CalibrationTooLarge`]: it does not fit `out` (or [`MAX_BLOB_SIZE`]).
 pub fn encode<'o>(
     calibration: &Calibration<'_>,
     out: &'o mut [u8],

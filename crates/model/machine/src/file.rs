@@ -63,7 +63,7 @@ impl MachineFile {
     /// Reads the text of the machine file at `path`, unchanged.
     ///
     /// # Errors
-    /// The file cannot be read, is longer than [`MAX_FILE_BYTES`], or is not UTF-8.
+    /// The file cannot be read, is longer than [`MAX_MACHINE_FILE_BYTES`], or is not UTF-8.
     pub fn read_text(path: &Path) -> Result<String, InputFileError> {
         bounded_read::read_text(path, MAX_MACHINE_FILE_BYTES)
     }

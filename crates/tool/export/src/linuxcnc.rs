@@ -12,7 +12,7 @@
 //! The loader stops at the first line that is not three numbers and still reports success, so the
 //! file has no header, no comment and no empty line; [`parse`] refuses what the loader would skip.
 //! The real LinuxCNC is compared in `host-tests/tests/linuxcnc_comp.rs`: what it adds is within
-//! 0.0004 µm of what [`CompensationTable::trim`] says.
+//! 0.0004 µm of what [`CompensationTable::trim_at`] says.
 
 use std::fmt::Write as _;
 

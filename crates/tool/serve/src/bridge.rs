@@ -1,4 +1,4 @@
-//! Collects the frames of a bridge: frames come in, a [`Snapshot`] comes out, and now and then a question to the
+//! Collects the frames of a bridge: frames come in, a [`BridgeSnapshot`] comes out, and now and then a question to the
 //! bridge who it is. Nothing is written to the bridge.
 
 use std::time::{Duration, Instant};

@@ -40,7 +40,7 @@ impl StraightnessCurve {
 ///
 /// # Errors
 /// The quantity is not there, or there are several and none is named; no axis moves, several do, or
-/// it is the axis that is in error; a [`FitError`], with its row.
+/// it is the axis that is in error; a [`StraightnessFitError`], with its row.
 pub fn fit_straightness_run(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,

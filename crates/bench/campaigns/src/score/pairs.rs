@@ -90,7 +90,7 @@ impl CausePair {
     /// Diagnoses the machine of `seed` with both, and scores the answer; `None` where its record cannot distinguish them.
     ///
     /// # Panics
-    /// A pair of [`Self::all`] can be drawn.
+    /// A pair of [`Self::all_compatible`] can be drawn.
     #[must_use]
     pub fn diagnose_and_score(self, seed: u64) -> Option<PairScore> {
         let Self(a, b) = self;
