@@ -79,7 +79,6 @@ use crate::{
     term_kind::{ModelPart, TermKind},
 };
 use aliases::find_aliases;
-pub(crate) use alternatives::MAX_IMITATION_ERROR;
 use alternatives::{AlternativeCause, find_alternatives, have_equal_predictions};
 pub(crate) use caveat::Caveat;
 use context::JudgementContext;
