@@ -29,7 +29,8 @@ use crate::{
     search::initial_model,
 };
 
-/// Pairs of subsamples, and of those of a fit without a part of the record.
+/// Pairs of subsamples, and of those of a fit without a part of the record: the mean of 30 is known to a fifth of their
+/// scatter.
 const SUBSAMPLE_PAIRS: usize = 15;
 const HELD_OUT_SUBSAMPLE_PAIRS: usize = 6;
 /// The share of the blocks in a subsample.
