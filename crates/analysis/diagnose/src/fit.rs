@@ -37,3 +37,7 @@ pub(crate) use solve::{FittedModel, fit};
 /// The level of what is reported: of intervals and regions, of a floor, and the power of what would have been found (fixed
 /// form of the answer).
 pub(crate) const CONFIDENCE_LEVEL: f64 = 0.95;
+/// What differs by no more than this share is equal: what two models leave on held-out blocks or a hold-out (RMS; the
+/// fixed form of the answer, `docs/reference.md`, Diagnosis), what a term does and what imitates it, and a value and the
+/// end of its search.
+pub(crate) const EQUIVALENCE_TOLERANCE: f64 = 0.05;

@@ -53,8 +53,8 @@ impl fmt::Display for FoldUnit {
 /// Whole runs that are held out in turn, at least: of two, one would have to show all that the other is judged by.
 const MIN_RUN_FOLDS: usize = 3;
 /// Stretches of equal length, next to those: one cut through a record may fall well or badly for a term, two of
-/// different kinds seldom do alike.
-const EQUAL_LENGTH_BLOCK_COUNT: usize = 5;
+/// different kinds seldom do alike. One fewer, so that no two cuts coincide where the record changes evenly.
+const EQUAL_LENGTH_BLOCK_COUNT: usize = SEGMENT_COUNT - 1;
 
 impl Folds {
     /// Returns the folds; blocks for intervals are at least five correlation times of `memory` steps long.

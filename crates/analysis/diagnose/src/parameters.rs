@@ -12,8 +12,11 @@ use trueup_machine::effect::{self, NonlinearParameter, Parameter};
 use trueup_numerics::{least_squares::normal, noise::NoiseModel, t_quantile};
 
 use crate::{
-    fit::{CONFIDENCE_LEVEL, FitProblem, FittedModel, ParameterCovariance, parameter_covariance},
-    model::MIN_DISTINCT_RATE_RATIO,
+    fit::{
+        CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE, FitProblem, FittedModel, ParameterCovariance,
+        parameter_covariance,
+    },
+    model::DISTINCT_RATE_RATIO,
     term_kind::ModelPart,
     terms,
 };
@@ -143,7 +146,8 @@ fn has_known_time_constants(
             return true;
         }
         let [low, high] = intervals[value];
-        let at_bound = part.values[value] > 0.95 * problem.bounds.time_constant_s[1];
+        let at_bound =
+            part.values[value] > (1.0 - EQUIVALENCE_TOLERANCE) * problem.bounds.time_constant_s[1];
         // Else it is not known which law it is, nor how the next hours will be.
         let is_known =
             high < MIN_DISTINCT_RATE_RATIO.powi(2) * low || problem.is_time_constant_short(high);

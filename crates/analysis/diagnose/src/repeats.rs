@@ -12,6 +12,7 @@ use trueup_machine::{
     model::is_negative_direction,
 };
 use trueup_numerics::{
+    blocks::COVERAGE_FACTOR_95,
     repeats::{
         POSITION_TOLERANCE_PER_STEP, RepeatReading, TableLaw, cycle_numbers, find_gross_errors,
         group_positions, max_point_variance,
@@ -190,7 +191,8 @@ impl TargetPositions {
         (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
             let is_known = |at: &Vec<f64>| {
                 at.is_empty()
-                    || max_point_variance(at, start_mm, step_mm, points) <= MAX_POINT_VARIANCE_RATIO
+                    || max_point_variance(at, start_mm, step_mm, points)
+                        <= COVERAGE_FACTOR_95.powi(2)
             };
             places.iter().all(is_known)
         })
@@ -207,9 +209,6 @@ impl TargetPositions {
             .collect()
     }
 }
-
-/// The variance of a table's point, in those of one reading at a place: twice its uncertainty.
-const MAX_POINT_VARIANCE_RATIO: f64 = 4.0;
 
 /// Numbers from 0 in the order in which keys come.
 fn encode_labels<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {

@@ -15,7 +15,10 @@ use trueup_machine::{
         MAX_ROW_GAP_S, RUN_FALSE_ALARM_RATE, ThermometerFault, find_thermometer_faults,
     },
 };
-use trueup_numerics::{parallel::parallel_map, repeats::SIGNIFICANCE_LEVEL};
+use trueup_numerics::{
+    parallel::parallel_map,
+    repeats::{SAME_PLACE_TOLERANCE, SIGNIFICANCE_LEVEL},
+};
 
 use super::{
     columns::{ColumnGroup, NamedColumn},
@@ -29,9 +32,6 @@ pub(crate) const MIN_PAUSE_INTERVALS: f64 = 2.0;
 const SLOPE_HALF_WINDOW_ROWS: usize = 10;
 /// Below this many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
 const MIN_PARALLEL_ROWS: usize = 1_000;
-/// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
-/// own size is known, which is several times the noise.
-const RELATIVE_LEVEL_TOLERANCE: f64 = 0.1;
 
 impl DataTable {
     /// Without the columns that are not to be believed: nothing is to be explained by them.
@@ -154,7 +154,8 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
 
 /// Returns the stretches of a file between jumps at these rows that are not at the level of the longest, each
 /// with how much higher it is. Whether the thermometer is still at its place there is not known: they do
-/// not count, and are moved to that level only for what has a memory.
+/// not count, and are moved to that level only for what has a memory. A jump back to within [`SAME_PLACE_TOLERANCE`] of the
+/// largest is one to the level before.
 fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
     let mut level = 0.0;
     let mut stretches = vec![(rows.clone(), level)];
@@ -170,7 +171,7 @@ fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Ra
     };
     let largest = jumps.iter().fold(0.0, |largest: f64, (_, by)| largest.max(by.abs()));
     let relative = stretches.into_iter().map(|(range, level)| (range, level - kept));
-    relative.filter(|(_, by)| by.abs() > RELATIVE_LEVEL_TOLERANCE * largest).collect()
+    relative.filter(|(_, by)| by.abs() > SAME_PLACE_TOLERANCE * largest).collect()
 }
 
 /// Returns the columns that are another one, or what was measured, with its name.

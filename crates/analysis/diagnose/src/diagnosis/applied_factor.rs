@@ -31,9 +31,9 @@ use crate::{
         report::{AlternativeCause, Finding, Verdict},
         verdict::VerdictReason,
     },
-    fit::{FitProblem, FittedModel, fit},
-    gain::TermGain,
-    judgement::{Judgement, MAX_RELATIVE_IMITATION_ERROR},
+    fit::{EQUIVALENCE_TOLERANCE, FitProblem, FittedModel, fit},
+    gain::Gain,
+    judgement::Judgement,
     model::Model,
     search::{
         SearchOutcome,
@@ -126,9 +126,8 @@ impl BridgeOffsets {
             let price = (problem.groups.len() as f64).ln();
             let gap = bic_gap(problem, &found.fitted, &fitted) + price;
             let without = fit(problem, model, None).sum - found.fitted.sum;
-            let imitates = fitted.sum - found.fitted.sum
-                < MAX_RELATIVE_IMITATION_ERROR * MAX_RELATIVE_IMITATION_ERROR * without;
-            (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || imitates).then_some(gap)
+            let imitates = fitted.sum - found.fitted.sum < EQUIVALENCE_TOLERANCE.powi(2) * without;
+            (gap < STRONG_EVIDENCE_BIC || imitates).then_some(gap)
         };
         let model = &found.fitted.model;
         let one = |(index, judgement): (usize, &Judgement)| {

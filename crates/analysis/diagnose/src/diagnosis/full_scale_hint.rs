@@ -4,12 +4,11 @@ use trueup_machine::{Machine, inputs::SensorInput};
 
 use crate::diagnosis::report::Finding;
 
-/// Full scales of inputs for 0–10 V or ±10 V: an S7 analogue input (rated range, SIMATIC
-/// manual, representation of analogue values), and one of 15 bits and a sign.
-const INPUT_FULL_SCALE_COUNTS: [(f64, &str); 2] =
-    [(27_648.0, "an S7 analogue input"), (32_768.0, "an input of 16 bits")];
-/// An S7 input gives no more than this, its overrange, so that a larger reading comes from another.
-const S7_OVERRANGE_COUNTS: f64 = 32_511.0;
+/// Counts of inputs for 0–10 V or ±10 V at full scale and at the most, a larger reading comes from another: an S7
+/// analogue input (rated range and overrange, SIMATIC manual, representation of analogue values), and one of 15 bits and
+/// a sign.
+const INPUT_COUNTS: [(f64, f64, &str); 2] =
+    [(27_648.0, 32_511.0, "an S7 analogue input"), (32_768.0, 32_768.0, "an input of 16 bits")];
 
 /// Where a gain of the sensor would be gone, or a part of it, if the input's full scale were that of another
 /// usual input: which, how much of the gain that is, and how to check it. `law_um`: what the sensor's own law
@@ -42,15 +41,12 @@ fn full_scale_hint(
     let believed = counts_full_scale;
     let is_all = |ratio: &f64| (ci95[0]..=ci95[1]).contains(ratio);
     let is_part = |ratio: &f64| (1.0..gain).contains(ratio) || (gain..1.0).contains(ratio);
-    let (counts, name, ratio) = INPUT_FULL_SCALE_COUNTS
+    let (counts, name, ratio) = INPUT_COUNTS
         .into_iter()
         // Not the one that is believed, within a count.
-        .filter(|(counts, _)| (counts - believed).abs() > 1.5)
-        .filter(|(counts, _)| {
-            largest_counts
-                .is_none_or(|largest| *counts > 30_000.0 || largest <= S7_OVERRANGE_COUNTS)
-        })
-        .map(|(counts, name)| (counts, name, believed / counts))
+        .filter(|(counts, ..)| (counts - believed).abs() > 1.5)
+        .filter(|(_, most, _)| largest_counts.is_none_or(|largest| largest <= *most))
+        .map(|(counts, _, name)| (counts, name, believed / counts))
         .find(|(.., ratio)| is_all(ratio) || is_part(ratio))?;
     let share = if is_all(&ratio) {
         "that alone would be this gain".to_string()

@@ -6,7 +6,7 @@ use serde::Serialize;
 use trueup_numerics::blocks::rms;
 
 use super::errors::max_abs_error;
-use crate::search::criterion::MAX_EQUIVALENT_RMS_RATIO;
+use crate::fit::EQUIVALENCE_TOLERANCE;
 
 pub use crate::gain::TermGain;
 
@@ -196,8 +196,8 @@ impl HeldOutErrors {
 }
 
 /// Returns whether a floor is one: below 5 % the file predicts no worse than the extended one.
-pub(crate) fn is_meaningful_reduction_floor(floor: f64) -> bool {
-    floor >= MAX_EQUIVALENT_RMS_RATIO - 1.0
+pub(crate) fn is_meaningful_floor(floor: f64) -> bool {
+    floor >= EQUIVALENCE_TOLERANCE
 }
 
 /// Returns a promise in words.

@@ -6,8 +6,12 @@ use trueup_page::format_micrometres;
 
 use crate::{
     diagnosis::{
-        final_model::MAX_MACHINE_TIER, power::DetectionPower, report::Verdict,
-        shortfall::Shortfall, slow_drift::SlowDrift, transfer::HoldOutEvaluation,
+        final_model::MAX_MACHINE_TIER,
+        power::{COVERAGE, DetectionPower},
+        report::Verdict,
+        shortfall::Shortfall,
+        slow_drift::SlowDrift,
+        transfer::HoldOutEvaluation,
         unexplained_residual::UnexplainedResidual,
     },
     judgement::Judgement,
@@ -17,10 +21,6 @@ use crate::{
         lack_of_fit::{CurveInputs, LackOfFit},
     },
 };
-
-/// A slow drift is structure where it is larger than what differs from reading to reading by more than this factor: it
-/// remembers more than three readings.
-const MIN_DRIFT_TO_NOISE_RATIO: f64 = 2.0;
 
 /// Why a verdict is as it is.
 #[derive(Clone, Debug)]
@@ -272,13 +272,11 @@ fn decide_verdict_without_cause(
 }
 
 impl VerdictEvidence<'_> {
-    /// Returns whether what wanders is larger than what differs from reading to reading, where the instrument's
-    /// uncertainty is not known: the noise of an instrument is that between neighbours, and what is slower is
-    /// structure.
+    /// Returns whether what wanders is larger than the expanded uncertainty of a reading by what differs from neighbour
+    /// to neighbour, where that of the instrument is not stated: what is slower than its noise is structure.
     fn has_drift_above_noise(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
-        self.instrument_um.is_none()
-            && wandering > MIN_DRIFT_TO_NOISE_RATIO * self.between_neighbours_um
+        self.instrument_um.is_none() && wandering > COVERAGE * self.between_neighbours_um
     }
 
     /// Returns whether what wanders is larger than what the instrument is worth: then it is the machine that does.

@@ -9,8 +9,8 @@ use trueup_machine::effect::NonlinearParameter;
 use trueup_numerics::blocks::SEGMENT_COUNT;
 
 use super::{
-    CONFIDENCE_LEVEL,
-    bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
+    CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE,
+    bounds::{MAX_COOLING_RATIO, ParameterBounds, compute_bounds},
     cache::{CacheKey, ColumnCache, GroupColumns},
     growth,
     memo::MemoTable,
@@ -217,34 +217,25 @@ impl FitProblem {
     /// constant at its longest (at its shortest it is none), an amplitude, a limit or a period at either
     /// end.
     pub(crate) fn is_at_bound(&self, part: &ModelPart) -> bool {
-        // To a twentieth of it, or of the range: what stops there has not stopped by itself.
-        const NEAR_BOUND_SHARE: f64 = 0.05;
+        // Equal to it, or next to the range: what stops there has not stopped by itself.
         let nonlinear = part.kind.nonlinear_parameters();
         let is_near = |value: f64, [low, high]: [f64; 2]| {
-            value - low < NEAR_BOUND_SHARE * (high - low)
-                || high - value < NEAR_BOUND_SHARE * (high - low)
+            (value - low).min(high - value) < EQUIVALENCE_TOLERANCE * (high - low)
         };
+        let is_low = |value: f64, low: f64| value < (1.0 + EQUIVALENCE_TOLERANCE) * low;
+        let is_high = |value: f64, high: f64| value > (1.0 - EQUIVALENCE_TOLERANCE) * high;
+        let is_outer =
+            |value: f64, [low, high]: [f64; 2]| is_low(value, low) || is_high(value, high);
         let is_at_end = |(value, what): (&f64, &NonlinearParameter)| match what {
             NonlinearParameter::TimeConstant | NonlinearParameter::FallingTimeConstant => {
-                let own_s = parameter_limits(part)
-                    .is_some_and(|[low, _]| *value < (1.0 + NEAR_BOUND_SHARE) * low);
-                own_s || *value > (1.0 - NEAR_BOUND_SHARE) * self.bounds.time_constant_s[1]
+                parameter_limits(part).is_some_and(|[low, _]| is_low(*value, low))
+                    || is_high(*value, self.bounds.time_constant_s[1])
             }
-            NonlinearParameter::Period => {
-                let [low, high] = self.bounds.period_mm;
-                *value < (1.0 + NEAR_BOUND_SHARE) * low || *value > (1.0 - NEAR_BOUND_SHARE) * high
-            }
-            NonlinearParameter::TimePeriod => {
-                let [low, high] = self.bounds.period_s;
-                *value < (1.0 + NEAR_BOUND_SHARE) * low || *value > (1.0 - NEAR_BOUND_SHARE) * high
-            }
+            NonlinearParameter::Period => is_outer(*value, self.bounds.period_mm),
+            NonlinearParameter::TimePeriod => is_outer(*value, self.bounds.period_s),
             NonlinearParameter::Limit => *value <= self.bounds.prediction_um[0],
-            NonlinearParameter::ThermometerDelay => {
-                *value > (1.0 - NEAR_BOUND_SHARE) * self.bounds.late_s[1]
-            }
-            NonlinearParameter::Shift => {
-                value.abs() > (1.0 - NEAR_BOUND_SHARE) * self.bounds.shift_s[1]
-            }
+            NonlinearParameter::ThermometerDelay => is_high(*value, self.bounds.late_s[1]),
+            NonlinearParameter::Shift => is_high(value.abs(), self.bounds.shift_s[1]),
             NonlinearParameter::ReadingPeriod
             | NonlinearParameter::Origin
             | NonlinearParameter::Instant => false,

@@ -3,7 +3,7 @@
 use trueup_numerics::blocks::rms;
 
 use crate::{
-    fit::{FittedModel, fit},
+    fit::{EQUIVALENCE_TOLERANCE, FittedModel, fit},
     judgement::context::JudgementContext,
     model::Model,
     search::{
@@ -15,8 +15,6 @@ use crate::{
 
 /// Most rivals of a term.
 const MAX_ALTERNATIVES: usize = 6;
-/// Share of what a term does (RMS) that a rival, or a factor of the CNC, may miss and still imitate it.
-pub(crate) const MAX_RELATIVE_IMITATION_ERROR: f64 = 0.05;
 
 /// Another cause in a term's place, or the same by another column.
 pub(crate) struct FittedAlternative {
@@ -112,9 +110,8 @@ pub(super) fn can_imitate(
             part.values[0] = 2.0 * low;
         }
     }
-    let is_near = |model: &Model| {
-        fit(&problem, model, None).rms() < MAX_RELATIVE_IMITATION_ERROR * rms(&effect)
-    };
+    let is_near =
+        |model: &Model| fit(&problem, model, None).rms() < EQUIVALENCE_TOLERANCE * rms(&effect);
     is_near(&rival.model) || quick != rival.model && is_near(&quick)
 }
 

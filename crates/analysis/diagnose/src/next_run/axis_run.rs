@@ -18,7 +18,7 @@ use trueup_numerics::robust::median;
 use super::{ReadingMethod, spindle_forecast::is_input_column};
 use crate::data::DataTable;
 
-/// How many targets; the ends are among them.
+/// How many targets; the ends are among them: from these alone to more than ISO 230-2 requires of a metre.
 const TARGET_COUNTS: [usize; 5] = [2, 3, 5, 9, 17];
 /// How often there and back.
 const REPEAT_COUNTS: [u32; 5] = [1, 2, 3, 5, 7];

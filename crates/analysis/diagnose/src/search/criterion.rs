@@ -13,22 +13,25 @@ use trueup_numerics::{
 };
 
 use crate::{
-    fit::{FitProblem, FittedModel},
+    fit::{EQUIVALENCE_TOLERANCE, FitProblem, FittedModel},
     folds::Folds,
     model::Model,
 };
-/// The price of a term for the choice among n causes, in ln n: EBIC with γ = 1.
-pub(crate) const EBIC_PENALTY: f64 = 2.0;
 /// Models whose BIC differs by less cannot be distinguished (from 6 on Kass and Raftery, 1995, speak of
 /// strong evidence).
 pub(crate) const STRONG_EVIDENCE_BIC_DIFFERENCE: f64 = 6.0;
 
-/// A model that leaves more than this times as much on held-out blocks or a hold-out (RMS) does not predict as well; the
-/// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).
-pub(crate) const MAX_EQUIVALENT_RMS_RATIO: f64 = 1.05;
+/// A model that leaves more than this times as much on held-out blocks or a hold-out (RMS) does not predict as well.
+pub(crate) const MAX_EQUIVALENT_RMS_RATIO: f64 = 1.0 + EQUIVALENCE_TOLERANCE;
 
 /// The share beyond which something is the larger part: of an error, of a distance, of what is explained or taken back.
 pub(crate) const MAJORITY_SHARE: f64 = 0.5;
+
+/// Returns the price of a term for the choice among `count` causes: −2·ln of the chance 1/`count` of each, in units of BIC
+/// (the extended BIC of Chen and Chen 2008, γ = 1).
+pub(crate) fn choice_penalty(count: usize) -> f64 {
+    2.0 * (count.max(1) as f64).ln()
+}
 
 /// Returns how many values of `model` are fitted.
 pub(crate) fn degrees_of_freedom(model: &Model) -> usize {

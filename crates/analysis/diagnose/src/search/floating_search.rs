@@ -21,9 +21,7 @@ use crate::{
     model::Model,
     search::{
         MAX_TERMS,
-        criterion::{
-            EBIC_PENALTY, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom, estimate_noise,
-        },
+        criterion::{STRONG_EVIDENCE_BIC, bic, choice_penalty, degrees_of_freedom, estimate_noise},
         extension::{
             Extension, centred_effect, effects_cancel, fit_single_cause_extensions, without_term,
         },
@@ -222,7 +220,7 @@ impl Search<'_> {
     fn term_penalty(&self) -> f64 {
         let fitted = &self.fitted;
         let causes = simple_candidates(self.problem, &fitted.model, &fitted.residual);
-        EBIC_PENALTY * (causes.len().max(1) as f64).ln()
+        choice_penalty(causes.len())
     }
 
     /// `base` with the cause of the best BIC, whatever it is. Causes that are looked for at many periods or instants

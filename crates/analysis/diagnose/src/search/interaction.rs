@@ -8,7 +8,7 @@ use crate::{
     fit::{FitProblem, FittedModel, fit},
     search::{
         SearchScope,
-        criterion::{EBIC_PENALTY, MAX_EQUIVALENT_RMS_RATIO},
+        criterion::{MAX_EQUIVALENT_RMS_RATIO, choice_penalty},
         extension::{Extension, centred_effect, effects_cancel, fit_extensions},
         state::Search,
     },
@@ -47,7 +47,7 @@ impl Search<'_> {
     pub(super) fn interaction_penalty(&self) -> f64 {
         let fitted = &self.fitted;
         let all = all_candidates(self.problem, &fitted.model, &fitted.residual);
-        EBIC_PENALTY * (all.len().max(1) as f64).ln()
+        choice_penalty(all.len())
     }
 
     /// Returns whether a cause takes two inputs together and a term of the model that does so reads its column: several

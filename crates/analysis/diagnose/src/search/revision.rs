@@ -5,12 +5,10 @@ use trueup_numerics::parallel::parallel_map;
 
 use crate::{
     candidates::used_temperature_columns,
-    fit::FittedModel,
-    gain::TermGain,
+    fit::{EQUIVALENCE_TOLERANCE, FittedModel},
+    gain::Gain,
     search::{
-        criterion::{
-            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom,
-        },
+        criterion::{STRONG_EVIDENCE_BIC, bic, degrees_of_freedom},
         extension::{Extension, fit_single_cause_extensions},
         state::{AddedTerm, MIN_RELEVANT_RMS_SHARE, Search},
     },
@@ -88,7 +86,7 @@ impl Search<'_> {
             if degrees_of_freedom(&other.fitted.model) < degrees_of_freedom(&self.fitted.model) {
                 1.0 + MIN_RELEVANT_RMS_SHARE
             } else if other.cause.tier() > cause.tier() {
-                1.0 - 2.0 * (MAX_EQUIVALENT_RMS_RATIO - 1.0)
+                1.0 - 2.0 * EQUIVALENCE_TOLERANCE
             } else {
                 1.0
             };

@@ -92,7 +92,7 @@ const LIMITS: CountLimits = CountLimits {
     placeholders: 0,
     public: 0,
     places: 2,
-    thresholds: 64,
+    thresholds: 44,
     stale: 0,
 };
 
