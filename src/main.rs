@@ -158,8 +158,9 @@ mod app {
         }
         let (buffer, store) = parts.loading.unzip();
         let (references, kept) = parts.references;
-        let own =
-            faults.active_faults().fold(Faults::default(), |all, fault| all.with_fault_if(true, fault));
+        let own = faults
+            .active_faults()
+            .fold(Faults::default(), |all, fault| all.with_fault_if(true, fault));
         let configure = |calibration| Configuration {
             calibration,
             blob: parts.blob,

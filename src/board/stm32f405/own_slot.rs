@@ -17,7 +17,7 @@ use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
     boot_state::ImageStatus,
     flash_layout::{HANDOVER_START, Slot},
-    handover::{StartInfo, HANDOVER_WORD_COUNT},
+    handover::{HANDOVER_WORD_COUNT, StartInfo},
     header::{HEADER_SIZE, Version},
     image_check::{Image, ImageDefect, read_header},
     journal::Journal,
@@ -188,8 +188,10 @@ impl OwnSlot {
     /// A turn of the supervisor.
     pub fn update_confirmation(&mut self, quality: OffsetQuality, elapsed_ms: u32) {
         let Some(image) = self.image else { return };
-        let is_healthy =
-            matches!(quality, OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel);
+        let is_healthy = matches!(
+            quality,
+            OffsetQuality::Live | OffsetQuality::TemperatureModel | OffsetQuality::WarmUpModel
+        );
         self.healthy_ms = if is_healthy { self.healthy_ms.saturating_add(elapsed_ms) } else { 0 };
         let status = self.journal.state().status(image.header.slot, image.tag);
         if self.healthy_ms < CONFIRM_TIME_MS || status == ImageStatus::Confirmed {

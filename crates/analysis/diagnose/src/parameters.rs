@@ -16,7 +16,7 @@ use crate::{
         CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE, FitProblem, FittedModel, ParameterCovariance,
         parameter_covariance,
     },
-    model::DISTINCT_RATE_RATIO,
+    model::MIN_DISTINCT_RATE_RATIO,
     term_kind::ModelPart,
     terms,
 };

@@ -79,7 +79,7 @@ pub(crate) struct RlsFilter {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum FilterOutcome {
     /// Used.
-    ReadingOutcome,
+    Accepted,
     /// Refused: this many µm off, and this many standard deviations.
     Refused { off_um: f64, deviations: f64 },
     /// The machine has changed, and it and those before it are used.
@@ -268,7 +268,7 @@ impl RlsFilter {
         }
         if !is_refused {
             self.update(g, y_um);
-            return FilterOutcome::ReadingOutcome;
+            return FilterOutcome::Accepted;
         }
         let on_this_side = |entry: &&(i8, Vec<f64>, f64)| entry.0 == side;
         if self.last.iter().filter(on_this_side).count() < MIN_CHANGE_READINGS {

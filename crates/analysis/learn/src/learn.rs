@@ -356,7 +356,7 @@ impl Learner<'_> {
             (self.believed.bank.persistent_values(), self.believed.bank.scatter_um());
         let last = memory.window.len() - 1;
         match self.believed.advance(memory, last) {
-            FilterOutcome::ReadingOutcome => taken.used = true,
+            FilterOutcome::Accepted => taken.used = true,
             FilterOutcome::Refused { off_um, deviations } => {
                 taken.reason = Some(format!(
                     "refused: {off_um:+.1} µm from the prediction, {deviations:.0} times what a reading may \

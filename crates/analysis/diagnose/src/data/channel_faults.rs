@@ -17,7 +17,7 @@ use trueup_machine::{
 };
 use trueup_numerics::{
     parallel::parallel_map,
-    repeats::{SAME_PLACE_TOLERANCE, SIGNIFICANCE_LEVEL},
+    repeats::{POSITION_TOLERANCE_PER_STEP, SIGNIFICANCE_LEVEL},
 };
 
 use super::{
@@ -171,7 +171,7 @@ fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Ra
     };
     let largest = jumps.iter().fold(0.0, |largest: f64, (_, by)| largest.max(by.abs()));
     let relative = stretches.into_iter().map(|(range, level)| (range, level - kept));
-    relative.filter(|(_, by)| by.abs() > SAME_PLACE_TOLERANCE * largest).collect()
+    relative.filter(|(_, by)| by.abs() > POSITION_TOLERANCE_PER_STEP * largest).collect()
 }
 
 /// Returns the columns that are another one, or what was measured, with its name.

@@ -32,7 +32,7 @@ use crate::{
         verdict::VerdictReason,
     },
     fit::{EQUIVALENCE_TOLERANCE, FitProblem, FittedModel, fit},
-    gain::Gain,
+    gain::TermGain,
     judgement::Judgement,
     model::Model,
     search::{
@@ -127,7 +127,7 @@ impl BridgeOffsets {
             let gap = bic_gap(problem, &found.fitted, &fitted) + price;
             let without = fit(problem, model, None).sum - found.fitted.sum;
             let imitates = fitted.sum - found.fitted.sum < EQUIVALENCE_TOLERANCE.powi(2) * without;
-            (gap < STRONG_EVIDENCE_BIC || imitates).then_some(gap)
+            (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || imitates).then_some(gap)
         };
         let model = &found.fitted.model;
         let one = |(index, judgement): (usize, &Judgement)| {

@@ -196,7 +196,7 @@ impl HeldOutErrors {
 }
 
 /// Returns whether a floor is one: below 5 % the file predicts no worse than the extended one.
-pub(crate) fn is_meaningful_floor(floor: f64) -> bool {
+pub(crate) fn is_meaningful_reduction_floor(floor: f64) -> bool {
     floor >= EQUIVALENCE_TOLERANCE
 }
 

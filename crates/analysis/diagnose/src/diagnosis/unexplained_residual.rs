@@ -63,7 +63,7 @@ fn has_random_order(mm: &[f64]) -> bool {
 }
 
 /// Returns the standard deviation of readings at one place, in µm, where as many were measured again as a claim needs blocks.
-fn repeatability_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
+fn repeatability_std_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
     let place = |row: usize| {
         data.positions_mm().map(|axis| {
             let mm = axis.map_or(0.0, |mm| mm[row]);

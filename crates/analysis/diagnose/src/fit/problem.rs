@@ -10,7 +10,7 @@ use trueup_numerics::blocks::SEGMENT_COUNT;
 
 use super::{
     CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE,
-    bounds::{MAX_COOLING_RATIO, ParameterBounds, compute_bounds},
+    bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
     cache::{CacheKey, ColumnCache, GroupColumns},
     growth,
     memo::MemoTable,

@@ -79,7 +79,7 @@ use crate::{
     term_kind::{ModelPart, TermKind},
 };
 use aliases::find_aliases;
-use alternatives::{AlternativeCause, find_alternatives, have_equal_predictions};
+use alternatives::{FittedAlternative, find_alternatives, have_equal_predictions};
 pub(crate) use caveat::Caveat;
 use context::JudgementContext;
 use identifiability::is_identified;

@@ -31,8 +31,8 @@ use crate::{
 
 /// Pairs of subsamples, and of those of a fit without a part of the record: the mean of 30 is known to a fifth of their
 /// scatter.
-const SUBSAMPLE_PAIRS: usize = 15;
-const HELD_OUT_SUBSAMPLE_PAIRS: usize = 6;
+const SUBSAMPLE_PAIR_COUNT: usize = 15;
+const HELD_OUT_SUBSAMPLE_PAIR_COUNT: usize = 6;
 /// The share of the blocks in a subsample.
 const SUBSAMPLE_BLOCK_SHARE: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.

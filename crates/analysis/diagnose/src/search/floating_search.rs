@@ -21,7 +21,9 @@ use crate::{
     model::Model,
     search::{
         MAX_TERMS,
-        criterion::{STRONG_EVIDENCE_BIC, bic, choice_penalty, degrees_of_freedom, estimate_noise},
+        criterion::{
+            STRONG_EVIDENCE_BIC_DIFFERENCE, bic, choice_penalty, degrees_of_freedom, estimate_noise,
+        },
         extension::{
             Extension, centred_effect, effects_cancel, fit_single_cause_extensions, without_term,
         },

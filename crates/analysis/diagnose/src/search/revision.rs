@@ -6,9 +6,9 @@ use trueup_numerics::parallel::parallel_map;
 use crate::{
     candidates::used_temperature_columns,
     fit::{EQUIVALENCE_TOLERANCE, FittedModel},
-    gain::Gain,
+    gain::TermGain,
     search::{
-        criterion::{STRONG_EVIDENCE_BIC, bic, degrees_of_freedom},
+        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom},
         extension::{Extension, fit_single_cause_extensions},
         state::{AddedTerm, MIN_RELEVANT_RMS_SHARE, Search},
     },

@@ -40,7 +40,7 @@ use crate::{
 /// Chance that noise passes the limit of one of the two statistics in one search: together that of a claim.
 pub(crate) const FALSE_ALARM_PROBABILITY: f64 = FALSE_CLAIM_PROBABILITY / 2.0;
 /// Draws of noise: the scale of a Gumbel distribution from as many is known to 14 % (0.78/√n).
-const NOISE_SIMULATIONS: usize = 32;
+const NOISE_SIMULATION_COUNT: usize = 32;
 
 /// A candidate at its best setting.
 #[derive(Clone, Debug)]

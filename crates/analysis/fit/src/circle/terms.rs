@@ -36,7 +36,7 @@ pub enum SpikeShape {
     /// A jump that decays exponentially.
     Exponential,
     /// A jump that decays along a line.
-    GivensQr,
+    LinearDecay,
     /// Half a period of a sine behind the reversal.
     HalfSine,
     /// x·e^(1 − x): it rises and decays behind the reversal.
@@ -48,7 +48,7 @@ pub enum SpikeShape {
 impl SpikeShape {
     /// All shapes.
     pub const ALL: [Self; 5] =
-        [Self::Exponential, Self::GivensQr, Self::HalfSine, Self::Surge, Self::Gauss];
+        [Self::Exponential, Self::LinearDecay, Self::HalfSine, Self::Surge, Self::Gauss];
 
     /// Returns its value `since` the reversal, an angle in −π…π, for a width at half its height; its peak is 1.
     #[must_use]
@@ -57,7 +57,7 @@ impl SpikeShape {
             Self::Gauss => (-0.5 * (since / width * 2.0 * GAUSSIAN_HWHM_PER_STD).powi(2)).exp(),
             _ if since < 0.0 => 0.0,
             Self::Exponential => (-since / width * std::f64::consts::LN_2).exp(),
-            Self::GivensQr => (1.0 - since / (2.0 * width)).max(0.0),
+            Self::LinearDecay => (1.0 - since / (2.0 * width)).max(0.0),
             Self::Surge => {
                 let scaled = since / width * SURGE_FWHM;
                 scaled * (1.0 - scaled).exp()
