@@ -154,7 +154,7 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
 
 /// Returns the stretches of a file between jumps at these rows that are not at the level of the longest, each
 /// with how much higher it is. Whether the thermometer is still at its place there is not known: they do
-/// not count, and are moved to that level only for what has a memory. A jump back to within [`SAME_PLACE_TOLERANCE`] of the
+/// not count, and are moved to that level only for what has a memory. A jump back to within [`POSITION_TOLERANCE_PER_STEP`] of the
 /// largest is one to the level before.
 fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
     let mut level = 0.0;

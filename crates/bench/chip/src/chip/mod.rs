@@ -71,7 +71,7 @@ pub struct SharedState {
     pub stall: AtomicU64,
     /// FLASH_ACR, and a count of its writes in the upper half.
     pub acr: AtomicU64,
-    /// Requests to the run loop, as bits: [`FLAG_REPORT`], [`FLAG_RESET`], [`FLAG_PROGRAMMING`].
+    /// Requests to the run loop, as bits: [`FLAG_NEW_FINDING`], [`FLAG_RESET_REQUEST`], [`FLAG_PROGRAMMING_CHANGED`].
     pub flag: AtomicU64,
 }
 

@@ -161,7 +161,7 @@ impl Chip {
             }
             "lse" => self.set_lse_running(number(1) != 0.0),
             "cut" => s.cut_in = number(1) as u64,
-            // As `reset`, if no `flash_power_off` has come before it.
+            // As `reset`, if no `interrupt_flash_operation` has come before it.
             "reset_if_uncut" if s.cut_in == 0 => {}
             "reset" | "reset_if_uncut" => self.execute_script_reset(s, words),
             _ if self.inject_fault(words) => {}
