@@ -36,8 +36,7 @@
 //! 16 MHz, and the serial line where its DMA is dead.
 //!
 //! Each task says when it begins and ends a turn ([`liveness`]); the watchdog is fed by that. The tasks are the same on
-//! every board; what a board is, is behind [`board`]. The computation of the bridge is in `trueup-core`, its messages
-//! are in `trueup-link`, both tested on the host.
+//! every board; [`board`] is what differs. `trueup-core` computes, `trueup-link` has the messages; both are tested on the host.
 #![no_std]
 #![no_main]
 

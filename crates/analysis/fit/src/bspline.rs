@@ -56,7 +56,7 @@ fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
 /// # Panics
 /// `order` is not 1…4, or there are fewer than 2·`order` knots.
 #[must_use]
-pub fn evaluate_basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
+pub(crate) fn evaluate_basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
     assert!((1..=MAX_SPLINE_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
     evaluate_basis_in_span(knots, order, knot_span(knots, order, x), x)
 }

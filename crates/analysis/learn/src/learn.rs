@@ -323,8 +323,8 @@ impl Learner<'_> {
             reason: None,
         };
         if !file_um.is_finite() || g.iter().any(|g| !g.is_finite()) {
-            let rule = "the row lacks an input of the model (a missing temperature?)";
-            taken.reason = Some(format!("refused: {rule}"));
+            let reason = "refused: the row lacks an input of the model (a missing temperature?)";
+            taken.reason = Some(reason.into());
             return (taken, HoldReasons::default());
         }
         let memory = &mut self.memory;
@@ -365,9 +365,9 @@ impl Learner<'_> {
             }
             FilterOutcome::Changed => {
                 taken.used = true;
-                let rule = "four of six are on one side";
-                taken.reason =
-                    Some(format!("used, with those before it that were refused: {rule}"));
+                let reason =
+                    "used, with those before it that were refused: four of six are on one side";
+                taken.reason = Some(reason.into());
             }
         }
         if taken.used {

@@ -22,7 +22,7 @@ pub(crate) struct RegressionSums {
 
 impl RegressionSums {
     /// Adds a reading: its sensitivity to the width in µm, what it says of it in µm, its time in years.
-    pub fn add_reading(&mut self, g: f64, r: f64, t: f64) {
+    pub(crate) fn add_reading(&mut self, g: f64, r: f64, t: f64) {
         self.n += 1.0;
         (0..3).for_each(|power| self.gg[power] += g * g * t.powi(power as i32));
         (0..2).for_each(|power| self.gr[power] += g * r * t.powi(power as i32));

@@ -50,7 +50,7 @@ impl BasicBlock {
 
     /// Its last instruction.
     #[must_use]
-    pub fn last_instruction(&self) -> &Instruction {
+    pub(crate) fn last_instruction(&self) -> &Instruction {
         self.instructions.last().expect("a block is never empty")
     }
 }

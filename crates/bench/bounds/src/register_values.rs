@@ -11,7 +11,7 @@ use crate::{
 
 /// The unknown part of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum SymbolicBase {
+pub(crate) enum SymbolicBase {
     /// None: the value is a number.
     Nothing,
     /// That of a register at the entry of the function.
@@ -26,7 +26,7 @@ pub enum SymbolicBase {
 
 /// A value: unknown part and number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SymbolicValue {
+pub(crate) struct SymbolicValue {
     /// The unknown part.
     pub base: SymbolicBase,
     /// The number, modulo 2³².
@@ -62,7 +62,7 @@ impl SymbolicValue {
 
 /// What the flags stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FlagOperands {
+pub(crate) struct FlagOperands {
     /// The first operand.
     pub left: SymbolicValue,
     /// The second one.
@@ -137,7 +137,7 @@ impl RegisterState {
 
     /// Returns what the flags stand for, where that is known.
     #[must_use]
-    pub fn flag_operands(&self) -> Option<FlagOperands> {
+    pub(crate) fn flag_operands(&self) -> Option<FlagOperands> {
         self.flags
     }
 

@@ -47,7 +47,7 @@ pub struct TestProgram {
 }
 
 /// Builds all of them.
-pub fn build_test_programs() -> Result<Vec<TestProgram>> {
+pub(crate) fn build_test_programs() -> Result<Vec<TestProgram>> {
     let mut command = cargo::locked_command("test");
     command.args(["--no-run", "--lib", "--bins", "--tests"]).args(CARGO_FEATURE_ARGUMENTS);
     command.args(["--message-format", "json-render-diagnostics"]);

@@ -51,7 +51,7 @@ pub(crate) use inputs::{board_condition_columns, first_free_condition_bit};
 pub(crate) use lag::time_constant_s;
 pub(crate) use sensor::NEAR_ZERO_SLOPE_UM_PER_COUNT;
 pub(crate) use sensor::exact_elongation_nm;
-pub use slope::{SlopeAtPosition, check_slopes, max_slope_um_per_mm};
+pub use slope::{check_slopes, max_slope_um_per_mm};
 
 /// A machine in the integers of the board.
 #[derive(Clone, Debug, PartialEq)]

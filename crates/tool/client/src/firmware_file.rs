@@ -133,7 +133,7 @@ impl FirmwareFile {
 
     /// Returns the part for a slot; `None`: the file has none for it.
     #[must_use]
-    pub fn part_for_slot(&self, slot: Slot) -> Option<&SlotFirmware> {
+    pub(crate) fn part_for_slot(&self, slot: Slot) -> Option<&SlotFirmware> {
         self.parts.iter().find(|part| part.image.header.slot == slot)
     }
 }

@@ -334,7 +334,7 @@ impl Hub {
 
     /// Returns the last values of the PLC, while that is not older than `MASTER_TIMEOUT`.
     #[must_use]
-    pub fn fresh_control(&self, now: Duration) -> Option<Control> {
+    pub(crate) fn fresh_control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;
         (now.saturating_sub(at) <= MASTER_TIMEOUT).then_some(control)
     }

@@ -147,7 +147,7 @@ impl DirectionTracker {
 
 /// The sender of the CNC's frames.
 #[derive(Debug, Default)]
-pub struct CncTransmitter {
+pub(crate) struct CncTransmitter {
     position_period: Duration,
     sends_rotary: bool,
     control: SendOnChange<Control>,

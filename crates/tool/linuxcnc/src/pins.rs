@@ -224,7 +224,7 @@ impl<'hal> ComponentPins<'hal> {
     }
 
     /// Lets the offsets at the joints go on from what a component before this one has left.
-    pub fn resume(&self, component: &mut crate::Component) {
+    pub(crate) fn resume(&self, component: &mut crate::Component) {
         for (index, joint) in self.joints.iter().enumerate() {
             if let Some(left) = joint.as_ref().and_then(|joint| joint.left) {
                 component.resume(index, left);

@@ -169,9 +169,8 @@ fn add_group_to_record(
     let axes = group.plane.axes();
     let [u, v] = axes.map(|axis| position_column(run, axis).unwrap_or_default());
     let mut rows = group.rows.clone();
-    let bad = |rule: String| {
-        InputFileError::new(run.value_location(group.rows[0], RADIAL_DEVIATION_COLUMN), rule)
-    };
+    let place = run.value_location(group.rows[0], RADIAL_DEVIATION_COLUMN);
+    let bad = |rule: String| InputFileError::new(place.clone(), rule);
     let mut found = None;
     for _ in 0..3 {
         let points: Vec<[f64; 2]> = rows.iter().map(|row| [u[*row], v[*row]]).collect();
@@ -217,8 +216,8 @@ fn add_group_to_record(
     });
     let record = &mut records[index];
     record.has_time &= has_time;
-    let angles: Vec<f64> =
-        rows.iter().map(|row| (v[*row] - centre[1]).atan2(u[*row] - centre[0])).collect();
+    let angle = |row: &usize| (v[*row] - centre[1]).atan2(u[*row] - centre[0]);
+    let angles: Vec<f64> = rows.iter().map(angle).collect();
     let rotation_directions = rotation_directions(run, axes, &rows, &angles);
     let number = |name: &str, row: usize| run.column(name).map_or(f64::NAN, |all| all[row]);
     // A file without a column setup is one set-up.

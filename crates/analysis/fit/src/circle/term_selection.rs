@@ -69,7 +69,7 @@ impl TermGroup {
     }
 
     /// Returns whether terms leave it one by one.
-    fn has_individually_removable_terms(&self) -> bool {
+    fn has_separable_terms(&self) -> bool {
         !matches!(self, Self::Cyclic(..) | Self::Spikes(_))
     }
 }
@@ -265,7 +265,7 @@ impl<'r> WhitenedFit<'r> {
                     let unit = &self.columns[at].unit;
                     let needed = if of_unit(unit) < self.caution * unit.min_t_value() {
                         unit.min_t_value()
-                    } else if unit.has_individually_removable_terms() {
+                    } else if unit.has_separable_terms() {
                         MIN_HARMONIC_T_VALUE
                     } else {
                         0.0
@@ -278,8 +278,7 @@ impl<'r> WhitenedFit<'r> {
             let column = self.columns[at].clone();
             self.remove_columns(|other| {
                 other.unit == column.unit
-                    && (!column.unit.has_individually_removable_terms()
-                        || other.term == column.term)
+                    && (!column.unit.has_separable_terms() || other.term == column.term)
             });
         }
     }

@@ -15,7 +15,7 @@ pub enum TableLaw {
 
 /// A law with its values, NaN where none of the readings that it was fitted to was there.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TableFit {
+pub(crate) struct TableFit {
     /// The law.
     pub law: TableLaw,
     /// By place, for each side; without the step.

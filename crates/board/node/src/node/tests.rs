@@ -1,18 +1,13 @@
 //! Tests of a node as a CANopen master sees it: its heartbeat, emergencies, objects, and a calibration.
 
 use super::*;
-use crate::{
-    node::firmware::SlotStates,
-    reset_info::{CrashInfo, ResetInfo},
-};
+use crate::node::firmware::SlotStates;
+use crate::reset_info::{CrashInfo, ResetInfo};
 use std::{boxed::Box, vec, vec::Vec};
-use trueup_canopen::{
-    dictionary::{AccessType, CLEAR_REFERENCE_SIGNATURE, DataType, OBJECTS},
-    sdo::AbortCode,
-};
+use trueup_canopen::dictionary::{AccessType, CLEAR_REFERENCE_SIGNATURE, DataType, OBJECTS};
+use trueup_canopen::sdo::AbortCode;
 use trueup_core::{bridge::ReferenceErrors, cnc::Control, units::Nanometres};
-use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_RESPONSE_ID};
-use trueup_link::status::ResetReason;
+use trueup_link::{layout::*, status::ResetReason};
 use trueup_store::{
     calibration::{MAX_BLOB_SIZE, calibration_crc, encode},
     reference::ReferenceStatus,
@@ -153,8 +148,8 @@ fn how_the_last_start_ended_is_read_by_a_master() {
     let mut node = whole(&blob, &mut buffer);
     let mut start = ResetInfo { reason: ResetReason::Panic, ..ResetInfo::default() };
     start.stop =
-        CrashInfo { pc: 0x0800_1234, lr: 5, status: 0x200, address: 6, line: 77, ..start.stop };
-    start.stop.task = 3;
+        CrashInfo { pc: 0x0800_1234, lr: 5, status: 0x200, address: 6, task: 3, ..start.stop };
+    start.stop.line = 77;
     start.stop.file[20..].copy_from_slice(b"a.rs");
     start.counts[ResetReason::Panic as usize] = 2;
     node.board.start = start;
@@ -229,7 +224,7 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
     node.restore_reference_status(
         ReferenceStatus::in_force(ReferenceErrors {
             elongation: Nanometres(1),
-            ..ReferenceErrors::default()
+            ..Default::default()
         }),
         None,
     );
@@ -410,9 +405,8 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
 
 #[test]
 fn reset_communication_is_passed_over_while_an_offset_is_followed() {
-    for (quality, period_ms) in
-        [(OffsetQuality::Live, 20), (OffsetQuality::Hold, 20), (OffsetQuality::Off, 100)]
-    {
+    use OffsetQuality::{Hold, Live, Off};
+    for (quality, period_ms) in [(Live, 20), (Hold, 20), (Off, 100)] {
         let mut node = Node::new(sensor_only_calibration().into());
         node.heartbeat.period_ms = 20;
         node.last.quality = quality;
@@ -497,10 +491,8 @@ fn a_fault_of_a_single_tick_is_reported_whenever_it_comes() {
         for ms in 0..200 {
             let speed = (ms != 100 + phase).then_some(Rpm(12_000));
             node.tick(1, TickInput { codes: Some(&alive), speed, temperatures: None });
-            assert_eq!(
-                node.last_output().flags.contains(OffsetFlags::SPEED_UNKNOWN),
-                speed.is_none()
-            );
+            let flags = node.last_output().flags;
+            assert_eq!(flags.contains(OffsetFlags::SPEED_UNKNOWN), speed.is_none());
             messages.extend(node.service());
         }
         assert_eq!(codes_of(&messages), [0x6102, 0x9001, 0], "at {phase}");

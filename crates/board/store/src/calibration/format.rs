@@ -8,7 +8,7 @@ pub(crate) const FIXED_PART_SIZE: usize = 604;
 /// The largest blob in bytes: a slot of the board's flash.
 pub const MAX_BLOB_SIZE: usize = 16_384;
 /// The first four bytes.
-pub const MAGIC: [u8; 4] = *b"TRUP";
+pub(crate) const MAGIC: [u8; 4] = *b"TRUP";
 /// The layout described here.
 pub(crate) const SCHEMA_VERSION: u16 = 4;
 /// The largest offset of any calibration, in nanometres: 4 mm. An axis of steel of 14.3 m, the longest that

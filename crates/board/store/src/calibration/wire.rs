@@ -183,7 +183,7 @@ impl<'b> Reader<'b> {
     }
 
     /// Returns the table that the next reference names.
-    pub fn read_records<const N: usize>(&mut self) -> &'b [[u8; N]] {
+    pub(crate) fn read_records<const N: usize>(&mut self) -> &'b [[u8; N]] {
         self.read_table(N).as_chunks().0
     }
 

@@ -28,7 +28,7 @@ pub(crate) const MIN_FEED_MM_PER_S: f64 = 0.5;
 
 /// A slope over an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SlopeAtPosition {
+pub(crate) struct SlopeAtPosition {
     /// In µm per mm; positive: the error rises with the position.
     pub um_per_mm: f64,
     /// Where, in mm; 0 for what is as steep everywhere.

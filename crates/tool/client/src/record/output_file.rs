@@ -35,7 +35,7 @@ impl OutputFile {
     }
 
     /// Writes a line.
-    pub fn write_line(&mut self, line: &str) -> Result<()> {
+    pub(crate) fn write_line(&mut self, line: &str) -> Result<()> {
         let written = writeln!(self.file, "{line}");
         self.length += line.len() as u64 + 1;
         self.with_write_context(written)

@@ -18,7 +18,7 @@ use std::{
 };
 
 /// The port of ISO-on-TCP.
-pub const ISO_ON_TCP_PORT: u16 = 102;
+pub(crate) const ISO_ON_TCP_PORT: u16 = 102;
 /// How long the CPU may take for anything.
 const RESPONSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// How long it may take to connect.

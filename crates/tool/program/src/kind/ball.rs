@@ -65,7 +65,7 @@ impl Ball {
     }
 
     /// Returns the steps from above any ball, or retracted, to above this one, touched, and its reading.
-    pub fn probing_steps(&self, probing: &ProbeSetup, place: &BallTarget) -> Vec<Step> {
+    pub(crate) fn probing_steps(&self, probing: &ProbeSetup, place: &BallTarget) -> Vec<Step> {
         let (tool, up, clear) = (probing.tool, probing.retract, self.clearance_radius_mm(probing));
         let centre = place.at_mm;
         let above = centre[tool] + up * clear;

@@ -150,7 +150,13 @@ impl ProbeSetup {
     }
 
     /// Returns a touch that looks for a surface from as far before it as behind it.
-    pub fn touch_step(&self, axis: usize, surface_mm: f64, towards: f64, number: usize) -> Step {
+    pub(crate) fn touch_step(
+        &self,
+        axis: usize,
+        surface_mm: f64,
+        towards: f64,
+        number: usize,
+    ) -> Step {
         Step::Touch(Touch {
             axis,
             to_mm: round_to_micrometres(surface_mm + towards * self.search_mm),
