@@ -374,10 +374,9 @@ impl Learner<'_> {
             let missed_um =
                 replay::corrected_reading_um(memory, &memory.window[last], sequence, None)
                     - prediction_change_um(g, &lasting);
-            let before = &memory.window[..last];
             let observations = wear::backlash_observations(
                 &memory.constants,
-                before,
+                &memory.window[..last],
                 g,
                 &lasting,
                 missed_um,

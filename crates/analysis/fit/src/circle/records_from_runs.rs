@@ -242,14 +242,13 @@ fn add_group_to_record(
         if before.is_some_and(|before| before.sense != sense || is_gap(&before)) {
             pass += 1;
         }
-        let clock = if has_time { number("time_s", row) } else { row as f64 };
         let next = CircleRow {
             angle,
             sense,
             measured_um: um,
             um,
             at_mm: [u[row], v[row]],
-            clock: if clock.is_nan() { row as f64 } else { clock },
+            clock: Some(number("time_s", row)).filter(|time| !time.is_nan()).unwrap_or(row as f64),
             feed_mm_per_min: number("feed_mm_per_min", row),
             setup,
             pass,
