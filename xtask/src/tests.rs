@@ -3,7 +3,7 @@
 
 use std::{fs, path::PathBuf};
 
-use clap::{CommandFactory as _, Parser as _};
+use clap::{CommandFactory as _, Parser as _, error::ErrorKind};
 use trueup_emulator::{process, setup};
 
 use super::Cli;
@@ -57,13 +57,12 @@ fn every_command_in_a_document_is_understood() {
                 continue;
             }
             let typed = ["cargo xtask".to_owned()].into_iter().chain(words.clone());
-            let parsed = Cli::try_parse_from(typed);
-            assert!(
-                parsed.is_ok(),
-                "{path}: cargo xtask {}: {}",
-                words.join(" "),
-                parsed.err().unwrap()
-            );
+            if let Err(error) = Cli::try_parse_from(typed) {
+                // A sentence may name a command without what it needs.
+                let is_name =
+                    words.len() == 1 && error.kind() == ErrorKind::MissingRequiredArgument;
+                assert!(is_name, "{path}: cargo xtask {}: {error}", words.join(" "));
+            }
             seen += 1;
         }
     }
