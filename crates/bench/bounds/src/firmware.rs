@@ -157,7 +157,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "halves at most 2¹⁶ pieces",
     ),
     loop_bound("ThermalExpansionLaw::depends_on_position", "", Times(64), "the pieces of a law"),
-    loop_bound("SourceAgreement::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
+    loop_bound("SourceAgreementMonitor::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
     loop_bound(
         "Bridge>::first_available_source",
         "",
@@ -169,7 +169,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("term::sum::apply_terms_in_order", "", Terms, MAX_TERMS_REASON),
     loop_bound("TermStates::apply_category_terms", "", Terms, MAX_TERMS_REASON),
     loop_bound("TermStates::set_conditions", "", Terms, MAX_TERMS_REASON),
-    loop_bound("TermStates::update_sum", "", Terms, MAX_TERMS_REASON),
+    loop_bound("TermStates::update_category_sum", "", Terms, MAX_TERMS_REASON),
     loop_bound(
         "ToolTable::level",
         "",
@@ -178,7 +178,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     ),
     loop_bound(
         "CachedErrors::update_axis_position",
-        "GUIDES_BY_AXIS",
+        "STRAIGHTNESS_INDICES_BY_AXIS",
         Times(3),
         "the two guides of an axis, and once to come to their list",
     ),
@@ -188,7 +188,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         Times(3),
         "three guides, and the three angles of each",
     ),
-    loop_bound("VolumetricErrorModel::compute_tip", "", Times(2), "two rotary axes"),
+    loop_bound("VolumetricErrorModel::compute_tip_and_tool_error", "", Times(2), "two rotary axes"),
     loop_bound("VolumetricErrorModel::compute_workpiece_error", "", Times(2), "two rotary axes"),
     // The wire.
     loop_bound("e2e::compute_crc::{{closure}}", "", Times(8), "the bytes of a frame"),
