@@ -23,10 +23,10 @@ pub struct ConstantEstimate {
 /// Returns the day in a file's name.
 ///
 /// ```
-/// use trueup_compare::dated::{parse_day, format_day};
-/// assert_eq!(parse_day("mill 2026-11-22.csv"), Some(20_779));
-/// assert_eq!(parse_day("mill_20261122_x.toml"), Some(20_779));
-/// assert_eq!(parse_day("mill-2026-13-40.csv"), None);
+/// use trueup_compare::dated::{find_day_in_name, format_day};
+/// assert_eq!(find_day_in_name("mill 2026-11-22.csv"), Some(20_779));
+/// assert_eq!(find_day_in_name("mill_20261122_x.toml"), Some(20_779));
+/// assert_eq!(find_day_in_name("mill-2026-13-40.csv"), None);
 /// assert_eq!(format_day(20_779), "2026-11-22");
 /// ```
 #[must_use]

@@ -46,13 +46,6 @@ fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
 /// Returns the first basis function that is not zero at `x`, and the values of it and the `order − 1`
 /// after it. Outside the knots the functions of the end span are continued.
 ///
-/// ```
-/// // Half way along one cubic segment the four functions weigh 1/8, 3/8, 3/8, 1/8.
-/// let knots = trueup_fit::bspline::clamped_knots(4, 0.0, &[], 10.0);
-/// let (first, weights) = trueup_fit::bspline::basis(&knots, 4, 5.0);
-/// assert_eq!((first, weights), (0, [0.125, 0.375, 0.375, 0.125]));
-/// ```
-///
 /// # Panics
 /// `order` is not 1…4, or there are fewer than 2·`order` knots.
 #[must_use]
@@ -296,6 +289,12 @@ pub fn fit_least_squares_spline(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn half_way_along_one_cubic_segment_the_four_functions_weigh_an_eighth_and_three_eighths() {
+        let knots = clamped_knots(4, 0.0, &[], 10.0);
+        assert_eq!(evaluate_basis(&knots, 4, 5.0), (0, [0.125, 0.375, 0.375, 0.125]));
+    }
     use trueup_machine::model::spline_value_um;
 
     fn uneven() -> BSpline {

@@ -157,7 +157,12 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "halves at most 2¹⁶ pieces",
     ),
     loop_bound("ThermalExpansionLaw::depends_on_position", "", Times(64), "the pieces of a law"),
-    loop_bound("SourceAgreementMonitor::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
+    loop_bound(
+        "SourceAgreementMonitor::step",
+        "",
+        Times(3),
+        "the sources, `ElongationSource::ALL`",
+    ),
     loop_bound(
         "Bridge>::first_available_source",
         "",

@@ -56,8 +56,8 @@ impl Kinematics {
     ///
     /// ```
     /// use trueup_core::kinematics::{RotaryAxis, Kinematics};
-    /// use trueup_core::{tool_direction::Direction, units::{MicroDegrees, Nanometres}};
-    /// let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)] };
+    /// use trueup_core::{tool_direction::ToolDirection, units::{MicroDegrees, Nanometres}};
+    /// let head = Kinematics { zero: ToolDirection::DOWN, axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)] };
     /// // A = +30° lifts the tip by 1 − cos 30° and moves it to +Y by sin 30°: 0.5 mm of
     /// // elongation are an error of 0.250 mm and −0.433 mm.
     /// let tilted = head.tool_direction([MicroDegrees(0), MicroDegrees(30_000_000)]);

@@ -35,12 +35,12 @@ impl SensorLaw {
     /// Worst error against `f64` with the same constants: 0.5 nm, the rounding of the result.
     ///
     /// ```
-    /// use trueup_core::{sensor::{SensorLaw, Slope}, units::{Nanometres, Reading}};
+    /// use trueup_core::{sensor::{SensorLaw, SensorSlope}, units::{Nanometres, Reading}};
     /// // The paper's sensor: 500 µm over 4096 codes of 1024 readings, zero at 5048/8 codes.
     /// let law = SensorLaw {
     ///     k0: Nanometres(0),
     ///     zero: Reading(5048 * 128),
-    ///     slope: Slope((500_000.0 / 4096.0 / 1024.0 * f64::from(1 << 28)) as i32),
+    ///     slope: SensorSlope((500_000.0 / 4096.0 / 1024.0 * f64::from(1 << 28)) as i32),
     /// };
     /// // 9164 counts: (9164 − 5048)·500/32768 = 62.805 µm.
     /// assert_eq!(law.elongation(Reading(9164 * 128)), Nanometres(62_805));

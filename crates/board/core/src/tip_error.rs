@@ -39,10 +39,10 @@ pub fn source_elongation(
 /// `axes` are the sums of the errors of the axes, with their parts clamped already.
 ///
 /// ```
-/// use trueup_core::{tip_error::{UNLIMITED, compute_tip_error}, tool_direction::Direction, units::{FineNanometres, Nanometres}};
+/// use trueup_core::{tip_error::{UNLIMITED, compute_tip_error}, tool_direction::ToolDirection, units::{FineNanometres, Nanometres}};
 /// // A spindle that has grown by 20 µm, on a Z axis that goes 5 µm too high.
 /// let axes = [FineNanometres(0), FineNanometres(0), FineNanometres(5_000 * 256)];
-/// let (error, _) = compute_tip_error(Nanometres(20_000), Direction::DOWN, axes, UNLIMITED);
+/// let (error, _) = compute_tip_error(Nanometres(20_000), ToolDirection::DOWN, axes, UNLIMITED);
 /// assert_eq!(error.map(|fine| fine.rounded().0), [0, 0, -15_000]);
 /// ```
 #[must_use]

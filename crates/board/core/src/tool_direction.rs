@@ -24,9 +24,9 @@ impl ToolDirection {
     /// Each component is rounded to the nearest nanometre.
     ///
     /// ```
-    /// use trueup_core::{tool_direction::Direction, units::Nanometres};
+    /// use trueup_core::{tool_direction::ToolDirection, units::Nanometres};
     /// // A spindle that has grown by 62.8 µm has its tip 62.8 µm too low.
-    /// let error = Direction::DOWN.project_elongation(Nanometres(62_800));
+    /// let error = ToolDirection::DOWN.project_elongation(Nanometres(62_800));
     /// assert_eq!(error, [Nanometres(0), Nanometres(0), Nanometres(-62_800)]);
     /// ```
     #[must_use]
@@ -44,9 +44,9 @@ impl ToolDirection {
     /// against `f64`: 0.5/256 nm, the rounding.
     ///
     /// ```
-    /// use trueup_core::{tool_direction::Direction, units::{FineNanometres, Nanometres}};
+    /// use trueup_core::{tool_direction::ToolDirection, units::{FineNanometres, Nanometres}};
     /// // 3 nm along a tool that points to −X by 1/1024: 3·256/1024 of a fine unit, so 1.
-    /// let leaning = Direction([-Direction::ONE / 1024, 0, -Direction::ONE]);
+    /// let leaning = ToolDirection([-ToolDirection::ONE / 1024, 0, -ToolDirection::ONE]);
     /// assert_eq!(leaning.project_elongation_fine(Nanometres(3)), [FineNanometres(-1), FineNanometres(0), FineNanometres(-768)]);
     /// ```
     #[must_use]

@@ -158,9 +158,9 @@ pub fn encode_control(control: Control, counter: u8) -> Frame {
 /// identifier.
 ///
 /// ```
-/// use trueup_core::cnc::Conditions;
+/// use trueup_core::cnc::MachineConditions;
 /// use trueup_link::frames;
-/// let sent = Conditions { tool: 0x0107, bits: 0x8001 };
+/// let sent = MachineConditions { tool: 0x0107, bits: 0x8001 };
 /// let frame = frames::encode_conditions(sent, 7);
 /// assert_eq!(frame.id(), 0x402);
 /// assert_eq!(frame.data()[2..], [0x07, 0x07, 0x01, 0x01, 0x80, 0x00]);

@@ -300,8 +300,8 @@ impl ResetReason {
 /// Returns the frame that says this. `counter` counts the frames of this identifier.
 ///
 /// ```
-/// use trueup_link::status::{self, Item, FrameRejectReason, Status};
-/// let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
+/// use trueup_link::status::{self, StatusItem, FrameRejectReason, Status};
+/// let item = StatusItem::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
 /// let frame = status::encode(&Status { last_refused: FrameRejectReason::Damaged, item }, 7);
 /// // Item 1, reason 2, 2345 = 0x0929, and 0x8000 for "not available".
 /// assert_eq!(frame.data()[2..], [0x07, 0x21, 0x29, 0x09, 0x00, 0x80]);

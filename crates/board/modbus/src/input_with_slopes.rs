@@ -30,10 +30,10 @@ pub type LinearCoefficients = (i16, i16);
 /// Returns the block. Without parts, or where `input` has no offset, there is none in it either.
 ///
 /// ```
-/// use trueup_core::{cnc::{Output, Quality}, units::Nanometres};
+/// use trueup_core::{cnc::{Output, OffsetQuality}, units::Nanometres};
 /// use trueup_modbus::{input::InputBlock, input_with_slopes};
 /// let offset = Some([Nanometres(-39_000), Nanometres(0), Nanometres(0)]);
-/// let input = InputBlock { output: Output { offset, quality: Quality::Live, ..Output::default() }, ..InputBlock::default() };
+/// let input = InputBlock { output: Output { offset, quality: OffsetQuality::Live, ..Output::default() }, ..InputBlock::default() };
 /// // An axis at 1 m: -12.0 µm and -27.0 µm/m.
 /// let block = input_with_slopes::encode(&input, Some([(-120, -270), (0, 0), (0, 0)]));
 /// assert_eq!((block[0], block[2], block[3]), (2, 0xFFFF, 0xFB50)); // -1200 of 0.01 µm

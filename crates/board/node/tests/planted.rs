@@ -34,7 +34,7 @@ const PLANTED: [(&str, &str, &str); 18] = [
     ),
     (
         "core/src/bridge.rs",
-        "offset: (quality != Quality::Fault).then(|| state.applied.offset()),",
+        "offset: (quality != OffsetQuality::Fault).then(|| state.applied.offset()),",
         "offset: Some(state.applied.offset()),",
     ),
     ("core/src/bridge.rs", ".rounded().saturating_neg()", ".rounded()"),

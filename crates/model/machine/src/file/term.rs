@@ -76,13 +76,13 @@ impl Term {
     ///
     /// ```
     /// use trueup_machine::effect::{Effect, Quantity, SensorGain};
-    /// use trueup_machine::file::{Term, writer::Edit};
+    /// use trueup_machine::file::{Term, writer::MachineFileEdit};
     /// let term = Term {
     ///     quantity: Quantity::Elongation,
     ///     constant_um: 0.0,
     ///     effect: Effect::SensorGain(SensorGain { gain: 1.2975 }),
     /// };
-    /// let edit = Edit { appended: vec![term.to_section()], ..Edit::default() };
+    /// let edit = MachineFileEdit { appended: vec![term.to_section()], ..MachineFileEdit::default() };
     /// let text = "[[term]]\ncause = \"sensor-gain\"\nquantity = \"elongation\"\ngain = 1.2975\n";
     /// assert_eq!(edit.to_toml(), text);
     /// ```

@@ -18,13 +18,13 @@ use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_negative_
 /// missing position.
 ///
 /// ```
-/// use trueup_machine::{file::PitchErrorTable, model::pitch_um};
+/// use trueup_machine::{file::PitchErrorTable, model::pitch_error_um};
 /// // 10 mm commanded, 9 mm moved: the error is −1 mm, and compensation adds +1 mm.
 /// let pitch = PitchErrorTable {
 ///     start_mm: 0.0, step_mm: 10.0, forward_um: vec![0.0, -1000.0], reverse_um: None,
 /// };
-/// assert_eq!(pitch_um(&pitch, 10.0, 1.0), -1000.0);
-/// assert_eq!(pitch_um(&pitch, 2.5, -1.0), -250.0);
+/// assert_eq!(pitch_error_um(&pitch, 10.0, 1.0), -1000.0);
+/// assert_eq!(pitch_error_um(&pitch, 2.5, -1.0), -250.0);
 /// ```
 #[must_use]
 pub fn pitch_error_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64) -> f64 {

@@ -9,9 +9,9 @@ use crate::sections::Squareness;
 /// Returns the error in µm of an angle between two axes, at `along_mm` on the second one.
 ///
 /// ```
-/// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_um};
+/// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_error_um};
 /// let angle = Squareness { error: LinearAxis::X, along: LinearAxis::Y, um_per_m: 12.0 };
-/// assert_eq!(squareness_um(&angle, -500.0), -6.0);
+/// assert_eq!(squareness_error_um(&angle, -500.0), -6.0);
 /// ```
 #[must_use]
 pub fn squareness_error_um(squareness: &Squareness, along_mm: f64) -> f64 {

@@ -63,14 +63,14 @@ fn interpolate_table(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// temperature or a position that counts is missing.
 ///
 /// ```
-/// use trueup_machine::{file::{ThermalLaw, ThermalMode}, model::thermal_um};
+/// use trueup_machine::{file::{ThermalLaw, ThermalMode}, model::thermal_error_um};
 /// let axis = ThermalLaw {
 ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 23.0,
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 14.21, origin_mm: 0.0, lag_s: 0.0,
 ///     table: None,
 /// };
 /// // (42 − 23) K · 14.21 µm/(m·K) · 1 m
-/// assert!((thermal_um(&axis, 42.0, 1000.0) - 269.99).abs() < 1e-9);
+/// assert!((thermal_error_um(&axis, 42.0, 1000.0) - 269.99).abs() < 1e-9);
 /// ```
 #[must_use]
 pub fn thermal_error_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f64 {
