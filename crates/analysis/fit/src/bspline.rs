@@ -259,7 +259,7 @@ pub struct SplineFit {
 /// or nearly).
 ///
 /// # Panics
-/// As [`evaluate_basis`].
+/// The order is not 1…4, or there are too few knots for it.
 #[must_use]
 pub fn fit_least_squares_spline(
     knots: Vec<f64>,
