@@ -2,7 +2,7 @@
 //! a recording that other people's tools read.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-#[allow(dead_code, reason = "its own start is for people")]
+#[allow(dead_code, reason = "its `main` is that of the example's own process")]
 #[path = "../../crates/tool/client/examples/listen.rs"]
 mod listen;
 mod support;

@@ -209,7 +209,7 @@ impl Seen {
     }
 }
 
-/// Watches for so long, and holds what it saw, all but how late it came, against the target.
+/// Watches for this time, and compares what it saw with the target, all but the delay.
 fn watched(language: Language, how_long: Duration) -> Result<Seen> {
     let stop = Arc::new(AtomicBool::new(false));
     let address = clock_bridge(stop.clone())?;

@@ -260,7 +260,7 @@ fn a_client_that_leaves_in_mid_line_leaves_no_half_line_to_the_next() -> Result<
     for _ in 0..10 {
         let mut cnc = CncClient::open(bridge.connect()?)?;
         assert_eq!(cnc.query("V")?, "V1013");
-        assert_eq!(cnc.next_output()?.quality, OffsetQuality::Fault, "nobody has engaged it");
+        assert_eq!(cnc.next_output()?.quality, OffsetQuality::Fault, "not engaged");
         cnc.write(b"t302")?;
     }
     Ok(())

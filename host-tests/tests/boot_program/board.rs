@@ -157,7 +157,7 @@ impl Board {
         self.folder.path().join("flash")
     }
 
-    /// Lives for so long from power-on; gives the model's report.
+    /// Runs for this time from power-on; returns the model's report.
     pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> RunReport {
         let model = &parts().expect("it is there").model;
         let script_file = self.folder.path().join("script");
@@ -170,7 +170,7 @@ impl Board {
         chip::run_without_log(model, &self.boot, &all).expect("the model runs")
     }
 
-    /// Lives for so long; returns its messages and its resets. Nothing of it may be against the manual.
+    /// Runs for this time; returns its messages and its resets. Nothing of it may be against the manual.
     pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Vec<PrintedLine> {
         let report = self.report(ms, script, options);
         // The image of the tests sends from 16 MHz, 2.1 % fast; nothing else is allowed.

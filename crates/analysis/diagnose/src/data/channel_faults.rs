@@ -15,10 +15,7 @@ use trueup_machine::{
         MAX_ROW_GAP_S, RUN_FALSE_ALARM_RATE, ThermometerFault, find_thermometer_faults,
     },
 };
-use trueup_numerics::{
-    parallel::parallel_map,
-    repeats::{POSITION_TOLERANCE_PER_STEP, SIGNIFICANCE_LEVEL},
-};
+use trueup_numerics::{parallel::parallel_map, repeats::SIGNIFICANCE_LEVEL};
 
 use super::{
     columns::{ColumnGroup, NamedColumn},
@@ -32,6 +29,9 @@ pub(crate) const MIN_PAUSE_INTERVALS: f64 = 2.0;
 const SLOPE_HALF_WINDOW_ROWS: usize = 10;
 /// Below this many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
 const MIN_PARALLEL_ROWS: usize = 1_000;
+/// A jump back is one to the level before if what is left is less than this share of the largest jump: by a tenth its
+/// own size is known, which is several times the noise.
+const MAX_LEVEL_DIFFERENCE_RATIO: f64 = 0.1;
 
 impl DataTable {
     /// Without the columns that are not to be believed: nothing is to be explained by them.
@@ -154,8 +154,7 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
 
 /// Returns the stretches of a file between jumps at these rows that are not at the level of the longest, each
 /// with how much higher it is. Whether the thermometer is still at its place there is not known: they do
-/// not count, and are moved to that level only for what has a memory. A jump back to within [`POSITION_TOLERANCE_PER_STEP`] of the
-/// largest is one to the level before.
+/// not count, and are moved to that level only for what has a memory.
 fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
     let mut level = 0.0;
     let mut stretches = vec![(rows.clone(), level)];
@@ -171,7 +170,7 @@ fn find_shifted_segments(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Ra
     };
     let largest = jumps.iter().fold(0.0, |largest: f64, (_, by)| largest.max(by.abs()));
     let relative = stretches.into_iter().map(|(range, level)| (range, level - kept));
-    relative.filter(|(_, by)| by.abs() > POSITION_TOLERANCE_PER_STEP * largest).collect()
+    relative.filter(|(_, by)| by.abs() > MAX_LEVEL_DIFFERENCE_RATIO * largest).collect()
 }
 
 /// Returns the columns that are another one, or what was measured, with its name.

@@ -4,9 +4,8 @@ use trueup_machine::{Machine, inputs::SensorInput};
 
 use crate::diagnosis::report::Finding;
 
-/// Counts of inputs for 0–10 V or ±10 V at full scale and at the most, a larger reading comes from another: an S7
-/// analogue input (rated range and overrange, SIMATIC manual, representation of analogue values), and one of 15 bits and
-/// a sign.
+/// Inputs for 0–10 V or ±10 V: the counts at full scale, and the largest count that such an input gives. An S7 analogue
+/// input (rated range and overrange: SIMATIC manual, representation of analogue values), and one of 15 bits and a sign.
 const INPUT_COUNTS: [(f64, f64, &str); 2] =
     [(27_648.0, 32_511.0, "an S7 analogue input"), (32_768.0, 32_768.0, "an input of 16 bits")];
 

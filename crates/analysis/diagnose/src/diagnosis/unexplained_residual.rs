@@ -6,7 +6,6 @@
 
 use std::{collections::HashMap, fmt};
 
-use trueup_numerics::blocks::SEGMENT_COUNT;
 use trueup_page::format_micrometres;
 
 use crate::{
@@ -15,6 +14,9 @@ use crate::{
     repeats::{MAX_REPEATABILITY_STD_UM, POSITION_TOLERANCE_MM, RepeatStatistics},
     search::criterion::MAJORITY_SHARE,
 };
+
+/// Second readings from which a scatter is known: to a third, by its χ² with five degrees of freedom.
+const MIN_REPEAT_READINGS: usize = 5;
 
 /// A residual that nothing shows to be the gauge's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +64,7 @@ fn has_random_order(mm: &[f64]) -> bool {
     variance > 0.0 && steps / (count - 1.0) >= variance
 }
 
-/// Returns the standard deviation of readings at one place, in µm, where as many were measured again as a claim needs blocks.
+/// Returns the standard deviation of readings at one place, in µm, where enough places were measured again.
 fn repeatability_std_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
     let place = |row: usize| {
         data.positions_mm().map(|axis| {
@@ -80,7 +82,7 @@ fn repeatability_std_um(data: &DataTable, errors: &[f64]) -> Option<f64> {
         squares += readings.iter().map(|um| (um - mean).powi(2)).sum::<f64>();
         second += readings.len() - 1;
     }
-    (second >= SEGMENT_COUNT).then(|| (squares / second as f64).sqrt())
+    (second >= MIN_REPEAT_READINGS).then(|| (squares / second as f64).sqrt())
 }
 
 impl fmt::Display for UnexplainedResidual {
@@ -96,7 +98,7 @@ impl fmt::Display for UnexplainedResidual {
                 f,
                 "what is left, {left} RMS, may be the machine as well as the gauge. Hardly a \
                  position is repeated, and the uncertainty of the gauge is not stated \
-                 ([instrument] uncertainty_um). Measure {SEGMENT_COUNT} positions twice \
+                 ([instrument] uncertainty_um). Measure {MIN_REPEAT_READINGS} positions twice \
                  or more"
             ),
         }
@@ -148,18 +150,18 @@ mod tests {
         assert!(rest.to_string().contains("it is the machine's"), "{rest}");
     }
 
-    /// Six places, each twice, 2 µm apart: a standard deviation of √2 µm.
+    /// Five places, each twice, 2 µm apart: a standard deviation of √2 µm.
     #[test]
     fn places_that_were_measured_twice_say_it_as_well() {
         let mut run = "x_mm,y_mm,measured_dx_um\n".to_string();
-        for n in [0, 3, 1, 5, 4, 2, 0, 3, 1, 5, 4, 2] {
+        for n in [0, 3, 1, 4, 2, 0, 3, 1, 4, 2] {
             run += &format!("{},{},{n}\n", 10 * n, 7 * n);
         }
-        let apart = |um: f64| (0..12).map(|n| 8.0 + um * f64::from(n / 6)).collect::<Vec<_>>();
+        let apart = |um: f64| (0..10).map(|n| 8.0 + um * f64::from(n / 5)).collect::<Vec<_>>();
         let rest = of("", &run, 9.0, &apart(2.0)).expect("the machine's");
         assert!((rest.gauge_um.expect("known") - 2.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(of("", &run, 9.0, &apart(16.0)), None);
-        // Five second readings are too few.
+        // Four second readings are too few.
         let mut few = apart(2.0);
         few[0] = f64::NAN;
         assert_eq!(of("", &run, 9.0, &few).expect("unknown").gauge_um, None);

@@ -92,7 +92,7 @@ const LIMITS: CountLimits = CountLimits {
     placeholders: 0,
     public: 0,
     places: 2,
-    thresholds: 44,
+    thresholds: 66,
     stale: 0,
 };
 

@@ -89,9 +89,9 @@ fn a_fault_of_one_tick_within_the_inhibit_time_is_reported_all_the_same() {
 #[test]
 fn every_bit_of_the_state_is_an_emergency_too() {
     for (bit, word) in StateBits::NAMES {
-        let tells =
+        let sets_bit =
             |fault: &Fault| Faults::default().with_fault_if(true, *fault).state_bits() == bit;
-        assert!(Fault::ALL.iter().any(tells), "{word}");
+        assert!(Fault::ALL.iter().any(sets_bit), "{word}");
     }
 }
 
