@@ -65,11 +65,8 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     let log_lines = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>());
 
     // A message before the board is up is lost, as on a wire.
-    let info = info_with(port, "heartbeat")?;
-    println!("{info}");
-    for word in ["crystal", "fall-back-clock", "board-degraded", "on STM32F405"] {
-        ensure!(info.contains(word), "no {word:?} in\n{info}");
-    }
+    let degraded = ["heartbeat", "crystal", "fall-back-clock", "board-degraded", "on STM32F405"];
+    println!("{}", info_with(port, &degraded)?);
     let received =
         Command::new(python).args(["-c", HEAR, &format!("socket://127.0.0.1:{port}")]).output()?;
     ensure!(received.status.success(), "{}", String::from_utf8_lossy(&received.stderr));

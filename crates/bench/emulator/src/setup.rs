@@ -13,6 +13,7 @@ use anyhow::{Context as _, Result, bail};
 use rustix::fs::{FlockOperation, flock};
 
 use crate::{
+    linuxcnc::stale_shared_memory,
     process,
     qemu::{self, QEMU_PROGRAM as QEMU},
 };
@@ -202,8 +203,8 @@ impl LockedLinuxCnc {
     }
 }
 
-/// Makes sure that LinuxCNC is there, and waits until no other test runs it; `None` where the
-/// distribution has no package of it.
+/// Makes sure that LinuxCNC is there, waits until no other test runs it and removes what a killed one left; `None` where
+/// the distribution has no package of it.
 ///
 /// # Errors
 /// There is a package, but it cannot be installed.
@@ -231,6 +232,7 @@ pub fn ensure_linuxcnc() -> Result<Option<LockedLinuxCnc>> {
         process::find_on_path(LINUXCNC_PROGRAM).context("linuxcnc is installed but not on PATH")?;
     let alone = File::create(project_root().join("target/linuxcnc.lock"))?;
     flock(&alone, FlockOperation::LockExclusive)?;
+    stale_shared_memory::remove_hal_segments()?;
     Ok(Some(LockedLinuxCnc { program, _alone: alone }))
 }
 

@@ -46,7 +46,7 @@ pub mod plant;
 pub mod repeatability;
 mod setup_config;
 pub mod simulated_joints;
-mod stale_shared_memory;
+pub(crate) mod stale_shared_memory;
 
 use std::{
     fs,

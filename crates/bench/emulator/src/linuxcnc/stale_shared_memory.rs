@@ -3,7 +3,8 @@
 //! `rtapi_app` runs as root and creates each segment as root before it gives the segment to the user
 //! (`uspace_common.h` calls this racy, with "a low probability of linuxcnc to fail to start"). A
 //! program of the user that asks in between is denied, and an `rtapi_app` that ends in between
-//! leaves a segment that denies every later start.
+//! leaves a segment that denies every later start. A program that is killed leaves its pins, which the next one reads as
+//! those of a machine that runs.
 
 use std::{fs, process::Command};
 
@@ -13,6 +14,17 @@ use crate::process;
 
 /// The kernel's table of segments.
 const SHARED_MEMORY_TABLE: &str = "/proc/sysvipc/shm";
+
+/// Keys of HAL's pins and of the mutex of RTAPI (`hal_priv.h`, `uspace_common.h`).
+const HAL_KEYS: [u32; 2] = [0x4841_4c32, 0x4848_4c34];
+
+/// Removes what a killed LinuxCNC left of HAL; nothing while one runs.
+///
+/// # Errors
+/// The table cannot be read, or `ipcrm` is missing or refuses.
+pub(crate) fn remove_hal_segments() -> Result<()> {
+    remove_segments(&HAL_KEYS)
+}
 
 /// Returns the keys of the segments that LinuxCNC was denied.
 pub(crate) fn denied_keys(text: &str) -> Vec<u32> {
