@@ -16,9 +16,9 @@ use trueup_boot::{
     flash_layout::{
         FLASH_START, HANDOVER_SIZE, HANDOVER_START, MAX_BOOT_PROGRAM_SIZE, SLOT_SIZE, Slot,
     },
-    header::HEADER_SIZE,
+    image_header::HEADER_SIZE,
 };
-use trueup_machine::{compile::compile, file::MachineFile};
+use trueup_machine::{compile::compile, machine_file::MachineFile};
 use trueup_signature::PublicKey;
 
 #[path = "commit.rs"]

@@ -49,25 +49,26 @@ static COMPLETED_TASKS: AtomicU16 = AtomicU16::new(0);
 static RUNNING_TASK: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
 
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-fn running_task() -> &'static AtomicU32 {
+fn running_task_mark() -> &'static AtomicU32 {
     // SAFETY: any bits are a value of it.
     unsafe { RUNNING_TASK.assume_init_ref() }
 }
 
 /// The mark is that of a task that hangs.
-static HANG_BLAMED: AtomicBool = AtomicBool::new(false);
+static IS_HANG_ATTRIBUTED: AtomicBool = AtomicBool::new(false);
 
 fn set_running_mark(mark: u32) {
-    if !HANG_BLAMED.load(Ordering::Relaxed) {
-        running_task().store(mark, Ordering::Relaxed);
+    if !IS_HANG_ATTRIBUTED.load(Ordering::Relaxed) {
+        running_task_mark().store(mark, Ordering::Relaxed);
     }
 }
 
 /// Returns the number of the task that ran; 0: none is known. For a board with a watchdog of its own.
 #[cfg(feature = "stm32f405")]
 pub fn last_running_task() -> u8 {
-    let [number, ..] = (running_task().load(Ordering::Relaxed) ^ TASK_MARK_MAGIC).to_le_bytes();
-    let is_mark = running_task().load(Ordering::Relaxed) & !0xFF == TASK_MARK_MAGIC;
+    let [number, ..] =
+        (running_task_mark().load(Ordering::Relaxed) ^ TASK_MARK_MAGIC).to_le_bytes();
+    let is_mark = running_task_mark().load(Ordering::Relaxed) & !0xFF == TASK_MARK_MAGIC;
     if is_mark { number } else { 0 }
 }
 
@@ -81,15 +82,15 @@ pub struct TaskGuard {
 impl TaskGuard {
     /// The task that this one has interrupted hangs: its mark stays, whatever still runs.
     pub fn blame_preempted(&self) {
-        HANG_BLAMED.store(true, Ordering::Relaxed);
-        running_task().store(self.before, Ordering::Relaxed);
+        IS_HANG_ATTRIBUTED.store(true, Ordering::Relaxed);
+        running_task_mark().store(self.before, Ordering::Relaxed);
     }
 }
 
 /// A task begins a turn.
 pub fn begin_task(task: Task) -> TaskGuard {
     // Who interrupts between these two puts the mark back before this goes on.
-    let before = running_task().load(Ordering::Relaxed);
+    let before = running_task_mark().load(Ordering::Relaxed);
     set_running_mark(TASK_MARK_MAGIC | task as u32);
     #[cfg(feature = "faults")]
     crate::faults::hang_if_selected(task as u32);
@@ -105,7 +106,7 @@ impl Drop for TaskGuard {
 
 /// The task that nothing is below: its turns have no end, so it says when it is alive.
 pub fn set_background_task(task: Task) {
-    running_task().store(TASK_MARK_MAGIC | task as u32, Ordering::Relaxed);
+    running_task_mark().store(TASK_MARK_MAGIC | task as u32, Ordering::Relaxed);
 }
 
 /// A task that stays is alive.

@@ -79,13 +79,13 @@ mod app {
     };
     use trueup_modbus::{
         rtu::{RxByte, Slave},
-        server::Response,
+        server::ResponseBuffer,
     };
     use trueup_node::{
-        configuration::Configuration,
+        configuration::NodeConfiguration,
         node::{Interface, Node, OffsetFrames},
     };
-    use trueup_store::{rate_limit::StorePermit, retained};
+    use trueup_store::{rate_limit::StorePermit, retained_state};
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
@@ -141,7 +141,7 @@ mod app {
     fn init_node_in_place(
         place: &'static mut MaybeUninit<Node<'static>>,
         calibration: Option<&Calibration<'static>>,
-        with: impl FnOnce(Option<Calibration<'static>>) -> Configuration<'static>,
+        with: impl FnOnce(Option<Calibration<'static>>) -> NodeConfiguration<'static>,
     ) -> &'static mut Node<'static> {
         place.write(Node::new(with(calibration.copied())))
     }
@@ -160,7 +160,7 @@ mod app {
         let own = faults
             .active_faults()
             .fold(Faults::default(), |all, fault| all.with_fault_if(true, fault));
-        let configure = |calibration| Configuration {
+        let configure = |calibration| NodeConfiguration {
             calibration,
             blob: parts.blob,
             buffer,
@@ -180,13 +180,13 @@ mod app {
             if !node.restore_reference_status(standing, kept.taken) {
                 defmt::error!("the stored reference is larger than a correction may be: not used");
             }
-            node.set_supply_basis(supply);
+            node.set_supply_baseline(supply);
         }
         if !parts.is_example {
             node.check_identity(kept.named, parts.chip);
         }
         let off_s = parts.backup.restore(parts.retained);
-        match retained::load(parts.retained) {
+        match retained_state::load(parts.retained) {
             None if board::COLD_AT_START => {}
             kept => node.resume(kept.as_ref(), off_s),
         }
@@ -316,7 +316,7 @@ mod app {
 
     /// Bytes become requests, requests are answered.
     #[task(binds = TIM5, priority = 2, shared = [node],
-           local = [slave, silence, received, answer, response: Response = Response::new()])]
+           local = [slave, silence, received, answer, response: ResponseBuffer = ResponseBuffer::new()])]
     fn modbus(cx: modbus::Context) {
         let _turn = liveness::begin_task(Task::Modbus);
         let it = cx.local;
@@ -349,7 +349,7 @@ mod app {
             shared.samples.lock(Samples::restart);
         }
         // This clock goes on whatever becomes of the samples, and with it every timeout.
-        if let Some(behind_ms) = shared.node.lock(|node| node.catch_up(SUPERVISOR_PERIOD_MS)) {
+        if let Some(behind_ms) = shared.node.lock(|node| node.advance_clock(SUPERVISOR_PERIOD_MS)) {
             let temperatures = shared.temperatures.lock(Option::take);
             let input = TickInput { temperatures: temperatures.as_ref(), ..TickInput::default() };
             let frames = shared.node.lock(|node| run_tick(node, behind_ms, input));
@@ -413,11 +413,11 @@ mod app {
         });
         // Reaching this line shows that no task above hangs; the turns of those below are counted.
         it.feed_watchdog(&turn, quality);
-        if it.is_log_due() {
+        if it.advance_log_timer() {
             it.save_retained_state(&shared.node.lock(|node| node.retained_state()));
             #[cfg(feature = "slots")]
             if let Some(slots) = it.slot_states() {
-                shared.node.lock(|node| node.set_slots(slots));
+                shared.node.lock(|node| node.set_slot_states(slots));
             }
             shared.port.lock(|port| shared.node.lock(|node| log_live_values(node, port)));
         }
@@ -434,7 +434,7 @@ mod app {
         if shared.can_out.lock(CanOut::is_busy) {
             return;
         }
-        if let Some(frame) = shared.node.lock(|node| node.service()) {
+        if let Some(frame) = shared.node.lock(|node| node.next_service_frame()) {
             shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&[frame], can, port)));
         }
     }
@@ -446,7 +446,7 @@ mod app {
         let now = NOW_MS.load(Ordering::Relaxed);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
         let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.drain_into(piece))));
-        if sent == TransmitState::More {
+        if sent == TransmitState::MorePending {
             rtic::pend(POLL_INTERRUPT);
         }
     }
@@ -458,7 +458,7 @@ mod app {
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
         let sent =
             out.lock(|out| out.transmit_polled(|piece| port.lock(|port| port.drain_into(piece))));
-        if sent == TransmitState::More {
+        if sent == TransmitState::MorePending {
             rtic::pend(POLL_INTERRUPT);
         }
     }

@@ -4,9 +4,9 @@
 
 use rtic::Mutex;
 use trueup_modbus::{
-    holding::{self, HoldingBlock},
-    input,
-    server::{Busy, RegisterStore},
+    holding_block::{self, HoldingBlock},
+    input_block,
+    server::{RegisterStore, RegistersBusy},
 };
 use trueup_node::node::Node;
 
@@ -14,15 +14,18 @@ use trueup_node::node::Node;
 pub struct SharedRegisters<N>(pub N);
 
 impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters<N> {
-    fn input_registers(&mut self) -> input::Registers {
+    fn input_registers(&mut self) -> input_block::InputRegisters {
         self.0.lock(|node| node.input_data()).encode()
     }
 
-    fn holding_registers(&mut self) -> holding::Registers {
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
         self.0.lock(|node| node.holding_registers())
     }
 
-    fn write_holding_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(
+        &mut self,
+        registers: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         let block = HoldingBlock::from_registers(registers);
         if self.0.lock(|node| node.receive_block(&block))? {
             for value in block.commands() {

@@ -5,14 +5,14 @@ use trueup_core::cnc::OffsetQuality;
 use trueup_link::slcan::Port;
 use trueup_node::node::{Node, ZeroOutcome};
 use trueup_store::{
-    load::{LoadBuffer, LoadOutcome},
+    calibration_load::{LoadBuffer, LoadOutcome},
     rate_limit::{RateLimiter, StorePermit},
     reference::ReferenceStore,
-    retained,
+    retained_state,
 };
 
 use crate::{
-    board::{BackupDomain, BrownOut, Flash, StatusLed, Store, Watchdog, references},
+    board::{BackupDomain, BrownOut, Flash, StatusLed, Store, Watchdog, reference_store},
     liveness::{LivenessMonitor, TaskGuard},
 };
 
@@ -29,7 +29,7 @@ pub struct Supervisor {
     /// Where a loaded calibration is kept.
     store: Option<Store>,
     /// State that outlasts a reset.
-    retained: &'static mut retained::RetainedCopies,
+    retained: &'static mut retained_state::RetainedCopies,
     /// And a power cut.
     backup: BackupDomain,
     roll: LivenessMonitor,
@@ -50,7 +50,7 @@ impl Supervisor {
         lamp: StatusLed,
         references: ReferenceStore<Flash>,
         store: Option<Store>,
-        retained: &'static mut retained::RetainedCopies,
+        retained: &'static mut retained_state::RetainedCopies,
         backup: BackupDomain,
     ) -> Self {
         Self {
@@ -68,13 +68,13 @@ impl Supervisor {
             until_log_ms: 0,
             store_pace: RateLimiter::default(),
             #[cfg(feature = "slots")]
-            own_slot: crate::board::OwnSlot::look(),
+            own_slot: crate::board::OwnSlot::locate(),
         }
     }
 
     /// Keeps what is to outlast a reset, and a power cut. Once a second is often enough: no heat changes faster.
-    pub fn save_retained_state(&mut self, kept: &retained::RetainedState) {
-        retained::save(self.retained, kept, self.backup.now_s());
+    pub fn save_retained_state(&mut self, kept: &retained_state::RetainedState) {
+        retained_state::save_state(self.retained, kept, self.backup.now_s());
         self.backup.store(self.retained);
     }
 
@@ -84,7 +84,7 @@ impl Supervisor {
             Ok(blob) => blob,
             Err(error) => {
                 defmt::error!("calibration refused: {}", error);
-                return LoadOutcome::Refused;
+                return LoadOutcome::Rejected;
             }
         };
         let Self { store, watchdog, .. } = self;
@@ -126,7 +126,7 @@ impl Supervisor {
 
     /// Returns the permission where the store takes a record now: one in [`trueup_store::rate_limit::STORE_PERIOD_MS`].
     pub fn store_permit(&self) -> Option<StorePermit> {
-        self.store_pace.permit()
+        self.store_pace.store_permit()
     }
 
     /// Logs the outcome of a `Zero` that has changed nothing.
@@ -145,10 +145,10 @@ impl Supervisor {
         permit: StorePermit,
     ) {
         let (standing, supply) =
-            node.lock(|node| (node.take_reference_status(), node.supply_basis()));
+            node.lock(|node| (node.take_reference_status(), node.supply_baseline_level()));
         let Some(standing) = standing else { return };
         self.store_pace.record(permit);
-        if !references::store_reference_status(&mut self.references, standing, supply) {
+        if !reference_store::store_reference_status(&mut self.references, standing, supply) {
             node.lock(|node| node.set_fault(Fault::Store));
         }
     }
@@ -168,7 +168,7 @@ impl Supervisor {
     ) -> bool {
         let Some(write) = node.lock(|node| node.take_pending_write()) else { return false };
         self.store_pace.record(permit);
-        let stored = references::store_write_record(&mut self.references, &write);
+        let stored = reference_store::store_write_record(&mut self.references, &write);
         node.lock(|node| node.finish_write(&write, stored));
         true
     }
@@ -191,7 +191,7 @@ impl Supervisor {
         }
         if !self.hangs {
             self.watchdog.feed();
-            self.brown_out.raise_when_idle(
+            self.brown_out.raise_level_when_idle(
                 !matches!(quality, OffsetQuality::Off | OffsetQuality::Fault),
                 &mut self.watchdog,
             );
@@ -209,14 +209,14 @@ impl Supervisor {
 
     /// Returns the state of the firmware slots; `None`: the image runs from none.
     #[cfg(feature = "slots")]
-    pub fn slot_states(&mut self) -> Option<trueup_node::node::firmware::SlotStates> {
+    pub fn slot_states(&mut self) -> Option<trueup_node::node::firmware_update::SlotStates> {
         self.own_slot.state()
     }
 
     /// Does the next step of an update, if one is due.
     #[cfg(feature = "slots")]
     pub fn update_firmware(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
-        use trueup_node::node::firmware::UpdateStep;
+        use trueup_node::node::firmware_update::UpdateStep;
 
         let Self { own_slot, watchdog, .. } = self;
         let Some(step) = node.lock(|node| node.take_firmware_step(&mut own_slot.piece)) else {
@@ -227,13 +227,13 @@ impl Supervisor {
         // A write changes no version and no status.
         let slots = (step != UpdateStep::Write).then(|| own_slot.state()).flatten();
         node.lock(|node| {
-            slots.into_iter().for_each(|slots| node.set_slots(slots));
+            slots.into_iter().for_each(|slots| node.set_slot_states(slots));
             node.finish_firmware_step(step, outcome);
         });
     }
 
     /// Returns true once a second.
-    pub fn is_log_due(&mut self) -> bool {
+    pub fn advance_log_timer(&mut self) -> bool {
         self.until_log_ms = self.until_log_ms.saturating_sub(SUPERVISOR_PERIOD_MS);
         let due = self.until_log_ms == 0;
         if due {

@@ -24,7 +24,9 @@ use support::{
 };
 use tempfile::TempDir;
 use trueup_core::cnc::OffsetQuality;
-use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, process, setup};
+use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd, board::VirtualBoard, firmware_images, process, setup,
+};
 use trueup_link::{
     frames::{self, NmtState},
     receiver::OffsetReceiver,
@@ -381,7 +383,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
         blob[at] ^= 0x04;
         blob
     };
-    let image = firmware::build_virtual_board_image()?;
+    let image = firmware_images::build_virtual_board_image()?;
     let blobs = [
         // The mark, the layout's number, a limit, the sensor's slope, the checksum itself.
         (flipped(0), "Magic { found: "),
@@ -395,7 +397,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     ];
     for (blob, why) in blobs {
         let mut board = VirtualBoard::boot(&image, &blob)?;
-        let mut front_end = FrontEnd::new(0.328, 1);
+        let mut front_end = AnalogueFrontEnd::new(0.328, 1);
         let blocks: Vec<Block> = (0..200)
             .map(|_| Block { codes: front_end.convert_block(|_| 2.0), ..Block::default() })
             .collect();

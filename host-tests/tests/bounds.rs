@@ -6,25 +6,27 @@ use std::{collections::BTreeMap, path::PathBuf, process::Command, sync::OnceLock
 
 use trueup_bounds::{
     decode::{self, ControlFlow},
-    firmware::{FIRMWARE_DECLARATIONS, LOG_STRING_FUNCTION},
-    image::Image,
+    flow_facts::{FIRMWARE_DECLARATIONS, LOG_STRING_FUNCTION},
+    image::FirmwareImage,
     report::TimingBounds,
 };
-use trueup_checks::bounds;
-use trueup_emulator::{firmware, setup};
+use trueup_checks::timing_bounds;
+use trueup_emulator::{firmware_images, setup};
 use trueup_store::write_log::WriteKind;
 
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        firmware::build_image_for_machine(&setup::project_root().join("data/paper_spindle.toml"))
-            .unwrap()
+        firmware_images::build_image_for_machine(
+            &setup::project_root().join("data/paper_spindle.toml"),
+        )
+        .unwrap()
     })
 }
 
 fn bounded() -> &'static TimingBounds {
     static BOUNDS: OnceLock<TimingBounds> = OnceLock::new();
-    BOUNDS.get_or_init(|| bounds::compute_bounds(image()).unwrap())
+    BOUNDS.get_or_init(|| timing_bounds::compute_bounds(image()).unwrap())
 }
 
 /// Tasks that are bounded below their deadline without the accelerator of the flash, by clock. Of all others it is not shown
@@ -66,7 +68,7 @@ fn responses_are_below_their_deadlines_where_it_is_shown() {
 
 #[test]
 fn the_functions_of_a_path_take_the_time_of_its_task() {
-    let path = bounds::format_longest_path("sample", 168, false).unwrap();
+    let path = timing_bounds::build_longest_path_report("sample", 168, false).unwrap();
     println!("{path}");
     let whole = path.split_once("168 MHz: ").and_then(|(_, rest)| rest.split_once(" µs"));
     let whole: f64 = whole.unwrap().0.parse().unwrap();
@@ -83,7 +85,7 @@ fn the_functions_of_a_path_take_the_time_of_its_task() {
 fn a_function_with_a_rate_within_another_one_is_counted_and_each_task_has_a_path() {
     let bounds = bounded();
     for it in bounds.all.iter().filter(|bound| bound.clock.starts_with("168")) {
-        let path = bounds::format_longest_path(&it.task, 168, false).unwrap();
+        let path = timing_bounds::build_longest_path_report(&it.task, 168, false).unwrap();
         let apart = path.lines().filter(|line| line.starts_with("apart: ")).count();
         // A piece of the serial line is taken from the port, and a full one leaves bytes in it.
         assert!(it.task != "transmit" || apart == 2, "{path}");
@@ -143,7 +145,7 @@ fn lengths_and_targets_are_those_of_the_disassembler() {
         println!("skipped: llvm-objdump is not here");
         return;
     };
-    let image = Image::read(image()).unwrap();
+    let image = FirmwareImage::read(image()).unwrap();
     let (mut count, mut branches) = (0, 0);
     for function in image.functions() {
         let mut at = function.start;
@@ -156,7 +158,7 @@ fn lengths_and_targets_are_those_of_the_disassembler() {
                 let own = match one.flow {
                     ControlFlow::Jump(target)
                     | ControlFlow::Call(target)
-                    | ControlFlow::Zero { target, .. } => Some(target),
+                    | ControlFlow::CompareAndBranch { target, .. } => Some(target),
                     _ => None,
                 };
                 assert_eq!(own, *target, "{mnemonic} at {place}");

@@ -12,21 +12,21 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 use trueup_core::{
     bridge::TickInput,
     cnc::{AxisPosition, Control, LinearAxis, Output, TravelDirection},
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::Position,
 };
 use trueup_diagnose::{DiagnosisOptions, DiagnosisReport, diagnose, diagnose_with_options};
-use trueup_emulator::{front_end::FrontEnd, replay};
+use trueup_emulator::{analogue_front_end::AnalogueFrontEnd, replay};
 use trueup_fit::{elongation, pitch, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
     compile,
-    file::Quantity,
     inputs::{CountScale, LinearInput, TemperatureKind},
+    machine_file::Quantity,
 };
 use trueup_node::node::{Interface, Node};
 use trueup_twin::{
@@ -96,7 +96,7 @@ fn machine(text: &str) -> Machine {
 /// The board's application, with the CNC that it talks to.
 struct Loop<'a> {
     node: Node<'a>,
-    front_end: FrontEnd,
+    front_end: AnalogueFrontEnd,
     offsets: OffsetReceiver,
     last: Output,
     heading: TravelDirection,
@@ -108,7 +108,7 @@ impl<'a> Loop<'a> {
     fn new(node: Node<'a>) -> Self {
         Self {
             node,
-            front_end: FrontEnd::new(DIVIDER, 1),
+            front_end: AnalogueFrontEnd::new(DIVIDER, 1),
             offsets: OffsetReceiver::new(),
             last: Output::default(),
             heading: TravelDirection::Positive,
@@ -119,7 +119,8 @@ impl<'a> Loop<'a> {
 
     /// Holds this on the board's inputs; what it says in the end.
     fn hold(&mut self, volts: f64, screw_c: f64, x_mm: f64, engage: bool) -> Output {
-        let mut temperatures: RawTemperatures = [RawReading::NONE; CHANNEL_COUNT];
+        let mut temperatures: RawTemperatures =
+            [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         temperatures[0] = replay::raw_reading(LINEAR, screw_c);
         for _ in 0..HELD_MS {
             if self.ms.is_multiple_of(20) {
@@ -275,7 +276,7 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
         let report = elongation::fit_elongation(
             &[run],
             Some(&machine),
-            &elongation::ElongationOptions::default(),
+            &elongation::ElongationFitOptions::default(),
         )
         .expect("it can be fitted");
         let it = report.parameter("um_per_count").expect("fitted");
@@ -301,7 +302,7 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
         let (run, _) =
             UncompensatedRun::from_run(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx))
                 .expect("a record");
-        let axis = trueup_machine::file::LinearAxis::X;
+        let axis = trueup_machine::machine_file::LinearAxis::X;
         let report =
             thermal::fit(&[run], axis, Some(&machine), &thermal::ThermalFitOptions::default())
                 .expect("it can be fitted");
@@ -328,7 +329,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("laser.csv")).expect("a run file");
     let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
-    let axis = trueup_machine::file::LinearAxis::X;
+    let axis = trueup_machine::machine_file::LinearAxis::X;
     let fitted = pitch::fit(&run, axis, &pitch::PitchFitOptions::default());
     let edit = fitted.expect("the rules are kept").report.edit;
     let before = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\

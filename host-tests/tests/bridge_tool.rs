@@ -14,8 +14,8 @@ use serde_json::{Value, json};
 use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
 use trueup_core::cnc::{CncMessage as CncCommand, Control, OffsetQuality, Output};
-use trueup_emulator::{cnc::CncClient, setup};
-use trueup_link::{frames, slcan::Event};
+use trueup_emulator::{cnc_client::CncClient, setup};
+use trueup_link::{frames, slcan::AdapterMessage};
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_store::calibration::calibration_crc;
 
@@ -114,7 +114,7 @@ fn the_example_of_a_client_receives_the_offsets_of_the_board() -> Result<()> {
     let bridge = BridgeProcess::start_grown()?;
     let mut offsets = 0;
     listen::listen(&format!("tcp:{}", bridge.address()), Duration::from_secs(1), |event| {
-        let Event::Frame(frame) = event else { return };
+        let AdapterMessage::Frame(frame) = event else { return };
         offsets += u32::from(frames::decode_offset_z(&frame).is_ok());
     })?;
     // A thousand a second; the computer may be late.

@@ -15,7 +15,7 @@ use trueup_core::{
 };
 use trueup_emulator::setup;
 use trueup_link::{
-    e2e::{self, Checker, E2eError},
+    e2e::{self, E2eChecker, E2eError},
     frame::Frame,
     frames::{self, DecodeError, OFFSET_XY_ID},
     layout::{
@@ -284,8 +284,8 @@ fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_d
 #[test]
 fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
     let mut random = XorShift32::new(0xE2E);
-    let mut checkers: Vec<(u16, u8, Option<Frame>, Checker)> =
-        IDS.iter().map(|id| (*id, 0, None, Checker::new(*id))).collect();
+    let mut checkers: Vec<(u16, u8, Option<Frame>, E2eChecker)> =
+        IDS.iter().map(|id| (*id, 0, None, E2eChecker::new(*id))).collect();
     let mut lines = String::new();
     let mut counts = std::collections::BTreeMap::<&str, u32>::new();
     let mut count = 0;

@@ -17,7 +17,9 @@ use trueup_core::{
     cnc::{Control, OffsetQuality, Output},
     units::Rpm,
 };
-use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, setup};
+use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd, board::VirtualBoard, firmware_images, setup,
+};
 use trueup_link::{
     frame::Frame,
     frames,
@@ -128,7 +130,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
 /// A board on a CAN bus with a master and a CNC.
 struct Bus {
     board: VirtualBoard,
-    front_end: FrontEnd,
+    front_end: AnalogueFrontEnd,
     offsets: OffsetReceiver,
     answers: VecDeque<[u8; 8]>,
     last: Option<Output>,
@@ -139,7 +141,7 @@ struct Bus {
 
 impl Bus {
     fn new(board: VirtualBoard) -> Self {
-        let front_end = FrontEnd::new(0.33, 5);
+        let front_end = AnalogueFrontEnd::new(0.33, 5);
         let offsets = OffsetReceiver::new();
         let answers = VecDeque::new();
         Self { board, front_end, offsets, answers, last: None, counter: 0, ms: 0, confirm: false }
@@ -212,7 +214,7 @@ impl Bus {
 
 #[test]
 fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_reported() -> Result<()> {
-    let image = firmware::build_virtual_board_image()?;
+    let image = firmware_images::build_virtual_board_image()?;
     let (old, new) = (compiled(1.0)?, compiled(0.5)?);
     let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);
     let loaded = bus.board.flash_path().with_file_name("loaded.bin");

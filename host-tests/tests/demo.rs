@@ -3,18 +3,18 @@
 
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
-    act_one::{MeasuredRunInput, run_measured_run_demo},
-    act_two::run_hidden_fault_demo,
-    boards::BoardSource,
-    page,
+    hidden_fault_demo::run_hidden_fault_demo,
+    html_report,
+    measured_run_demo::{MeasuredRunInput, run_measured_run_demo},
+    stepped_board::BoardSource,
     summary::DemoSummary,
 };
-use trueup_emulator::{firmware, setup};
+use trueup_emulator::{firmware_images, setup};
 use trueup_machine::{MachineFile, RunFile};
 
 #[test]
 fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings() {
-    let image = firmware::build_virtual_board_image().expect("the image builds");
+    let image = firmware_images::build_virtual_board_image().expect("the image builds");
     let path = setup::project_root().join("data/paper_spindle.toml");
     let source = MachineFile::read_text(&path).expect("the project's own");
     let run = RunFile::read(&setup::project_root().join("data/spindle_paper_table1.csv"))
@@ -46,7 +46,7 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
     assert_eq!(causes, ["sensor-gain", "sensor-offset"]);
     assert!(summary.hints.iter().any(|hint| hint.contains("27648")), "{:?}", summary.hints);
 
-    let page = page::render_page(&one, None);
+    let page = html_report::render_page(&one, None);
     assert_eq!(page.matches("<svg").count(), 2);
     for outside in ["<script", "<link", "src=", "href="] {
         assert!(!page.contains(outside), "the page stands alone: {outside}");
@@ -60,7 +60,7 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
 #[test]
 #[ignore = "long: ten shifts of the emulated board, three times each"]
 fn hidden_faults_are_found_on_the_board_as_in_this_process() {
-    let image = firmware::build_virtual_board_image().expect("the image builds");
+    let image = firmware_images::build_virtual_board_image().expect("the image builds");
     let (mut right, mut kept) = (0, 0);
     for seed in 0..10 {
         let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be diagnosed");
@@ -77,7 +77,7 @@ fn hidden_faults_are_found_on_the_board_as_in_this_process() {
         );
         assert!((board.tool_rms_before_um - host.tool_rms_before_um).abs() < 1e-3);
         right += u32::from(board.all_right);
-        kept += u32::from(board.is_within_tolerance());
+        kept += u32::from(board.is_reduction_within_tolerance());
         let apart_um = (board.tool_rms_after_um - host.tool_rms_after_um).abs();
         println!("{apart_um:.4} µm apart");
         assert!(apart_um < 0.02, "{apart_um} µm apart");

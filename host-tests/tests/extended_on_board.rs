@@ -14,15 +14,15 @@ use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_core::{
     cnc::{Control, Output, SpindleState},
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
 };
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd,
     board::{MAX_BATCH_BLOCKS, VirtualBoard},
     cnc_emulator::{CncEmulator, ReceivedFrames},
-    firmware,
-    front_end::FrontEnd,
-    replay::Replay,
+    firmware_images,
+    replay::RunReplay,
     setup,
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
@@ -86,12 +86,12 @@ fn left_by_the_board(
     row_s: Option<f64>,
 ) -> Vec<f64> {
     let compiled = compile(machine).expect("what was extended compiles");
-    let image = firmware::build_virtual_board_image().expect("the image builds");
+    let image = firmware_images::build_virtual_board_image().expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
-    let mut front_end = FrontEnd::new(DIVIDER, 1);
+    let mut front_end = AnalogueFrontEnd::new(DIVIDER, 1);
     let (mut stand_in, received) = (CncEmulator::default(), ReceivedFrames::default());
     let mut offsets = OffsetReceiver::new();
-    let replay = Replay::new(run, machine, 1.0).expect("it can be replayed");
+    let replay = RunReplay::new(run, machine, 1.0).expect("it can be replayed");
     let times = run.column("time_s").map_or_else(
         || (0..run.row_count()).map(|row| row as f64).collect(),
         |times| times.iter().map(|time| time - times[0]).collect::<Vec<f64>>(),
@@ -170,7 +170,7 @@ fn swept_s(from: RawTemperatures, to: RawTemperatures) -> f64 {
 
 fn between(from: RawTemperatures, to: RawTemperatures, share: f64) -> RawTemperatures {
     let mut now = to;
-    for (raw, RawReading(from)) in now.iter_mut().zip(from) {
+    for (raw, RawTemperatureReading(from)) in now.iter_mut().zip(from) {
         let to = f64::from(raw.0);
         raw.0 = (f64::from(from) + share * (to - f64::from(from))).round() as i32;
     }

@@ -10,7 +10,7 @@ use trueup_core::{
     units::{Position, Rpm},
 };
 use trueup_emulator::setup;
-use trueup_modbus::holding::{Checker, CncData};
+use trueup_modbus::holding_block::{CncData, HoldingBlockChecker};
 
 /// As in the example's data table.
 const SLEW_UM_PER_S: f64 = 20.0;
@@ -66,6 +66,6 @@ fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_
         conditions: Some(MachineConditions { tool: 7, bits: 0x101 }),
         ..CncData::default()
     };
-    assert_eq!(Checker::default().accept(&registers)?, expected);
+    assert_eq!(HoldingBlockChecker::default().accept(&registers)?, expected);
     Ok(())
 }

@@ -6,11 +6,11 @@ use std::{f64::consts::TAU, iter::repeat_with};
 
 use rustfft::{FftPlanner, num_complex::Complex};
 use trueup_core::{
-    dimensions::CODES_PER_TICK,
-    filter::Filter,
+    design_parameters::CODES_PER_TICK,
+    run_out_filter::RunOutFilter,
     units::{AdcCode, READING_UNITS_PER_CODE, Rpm},
 };
-use trueup_emulator::front_end::{FrontEnd, SAMPLE_RATE_HZ};
+use trueup_emulator::analogue_front_end::{AnalogueFrontEnd, SAMPLE_RATE_HZ};
 
 /// The paper's sensor: 500 µm over 4096 codes and over 10 V.
 const NM_PER_CODE: f64 = 500_000.0 / 4096.0;
@@ -21,7 +21,7 @@ type Block = [AdcCode; CODES_PER_TICK];
 
 /// Readings in nanometres, one a millisecond, from the first one that the filter gives.
 fn filtered(blocks: impl Iterator<Item = Block>, known: Option<Rpm>) -> impl Iterator<Item = f64> {
-    let mut filter = Filter::new();
+    let mut filter = RunOutFilter::new();
     blocks.filter_map(move |codes| {
         let reading = filter.tick(&codes, known)?;
         Some(f64::from(reading.0) / f64::from(READING_UNITS_PER_CODE) * NM_PER_CODE)
@@ -47,7 +47,7 @@ fn white_noise_of_one_lsb_leaves_30_nm_at_1_khz_and_5_nm_below_10_hz() {
     const LEVEL_VOLTS: f64 = 1.540_7;
     const SAMPLES: usize = 1 << 15;
     for rpm in [0, 300, 301, 1_000, 3_333, 6_000, 12_000, 18_001, 24_000] {
-        let mut front_end = FrontEnd::new(DIVIDER, u64::from(rpm) + 1);
+        let mut front_end = AnalogueFrontEnd::new(DIVIDER, u64::from(rpm) + 1);
         let blocks = repeat_with(|| front_end.convert_block(|_| LEVEL_VOLTS));
         let error: Vec<f64> = filtered(blocks, Some(Rpm(rpm)))
             .take(SAMPLES)
@@ -193,7 +193,7 @@ fn the_arithmetic_is_within_2_nm_of_f64_over_the_whole_input_range() {
         let mut worst_here: f64 = 0.0;
         for rpm in [300_u16, 301, 437, 999, 2_500, 7_919, 12_345, 23_999, 24_000, 60_000] {
             let exact = reference(&levels, 300_000.0 / f64::from(rpm));
-            let mut filter = Filter::new();
+            let mut filter = RunOutFilter::new();
             for (codes, exact) in codes.chunks_exact(20).zip(exact) {
                 let block: &Block = codes.try_into().expect("chunks of 20");
                 let ours = filter.tick(block, Some(Rpm(rpm)));
@@ -215,7 +215,7 @@ fn an_inverters_carrier_leaves_60_nm_behind_the_low_pass_and_micrometres_without
     const LEVEL_VOLTS: f64 = 1.7;
     const CARRIER_VOLTS: f64 = 0.1;
     let shift = |low_pass: bool, hz: f64, phase: f64, rpm: u16| {
-        let mut front_end = FrontEnd::new(DIVIDER, 5);
+        let mut front_end = AnalogueFrontEnd::new(DIVIDER, 5);
         if !low_pass {
             front_end = front_end.without_low_pass();
         }
@@ -247,7 +247,7 @@ fn an_inverters_carrier_leaves_60_nm_behind_the_low_pass_and_micrometres_without
 fn the_first_reading_is_no_ramp_from_zero() {
     const LEVEL_VOLTS: f64 = 4.0;
     for rpm in [0, 300, 24_000] {
-        let mut front_end = FrontEnd::new(DIVIDER, 9);
+        let mut front_end = AnalogueFrontEnd::new(DIVIDER, 9);
         let blocks = repeat_with(|| front_end.convert_block(|_| LEVEL_VOLTS));
         let first = filtered(blocks, Some(Rpm(rpm))).next().expect("a reading");
         let off = first - LEVEL_VOLTS * NM_PER_VOLT;

@@ -25,11 +25,11 @@ use trueup_link::{
     frame::Frame,
     frames,
     receiver::{CncReceiver, OffsetReceiver, StatusReceiver},
-    slcan::{Client, Port},
+    slcan::{Port, SlcanClient},
 };
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::{
@@ -204,7 +204,7 @@ fn any_bytes_in_the_flash_can_be_started_on_and_stored_over() {
 
 /// Returns a node that a master may change.
 fn node_in_service(buffer: Option<&mut [u8]>) -> Node<'_> {
-    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
+    let mut node = Node::new(NodeConfiguration { buffer, ..NodeConfiguration::default() });
     for counter in 0..4 {
         let control = Control { service: true, ..Control::REFERENCED };
         node.receive(Interface::Can, &frames::encode_control(control, counter))
@@ -232,7 +232,7 @@ fn any_sdo_requests_are_answered_or_aborted() {
             let _ = node.receive(Interface::Can, &frame);
             for _ in 0..4 {
                 node.tick(5, Default::default());
-                if let Some(answer) = node.service() {
+                if let Some(answer) = node.next_service_frame() {
                     assert!(answer.len() <= 8);
                 }
             }
@@ -243,7 +243,7 @@ fn any_sdo_requests_are_answered_or_aborted() {
 #[test]
 fn any_bytes_on_the_serial_line_are_answered_or_passed_over() {
     fuzz("slcan", &corpus("slcan"), |bytes| {
-        let (mut port, mut client) = (Port::new(1), Client::new());
+        let (mut port, mut client) = (Port::new(1), SlcanClient::new());
         for byte in bytes {
             if let Some(frame) = port.receive(*byte) {
                 assert!(frame.id() <= Frame::MAX_ID);

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use support::{BridgeProcess, GROWN_UM, Running, trueup};
 use trueup_core::cnc::MachineConditions;
 use trueup_emulator::setup;
-use trueup_modbus::holding::Checker;
+use trueup_modbus::holding_block::HoldingBlockChecker;
 
 /// Noise after the filter, the rounding of a code, of the wire and of a REAL.
 const TOLERANCE_UM: f64 = 0.4;
@@ -359,7 +359,7 @@ fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_check
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let blocks: Vec<String> = serde_json::from_slice(&output.stdout)?;
-    let mut checker = Checker::default();
+    let mut checker = HoldingBlockChecker::default();
     let mut messages = Vec::new();
     for block in &blocks {
         let word = |n: usize| u16::from_str_radix(&block[4 * n..4 * n + 4], 16);

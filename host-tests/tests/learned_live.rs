@@ -7,10 +7,10 @@ use support::bench::{self, Bench};
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
     cnc::{Control, OffsetQuality, Output},
-    learned::{ChangeRequest, PART_COUNT, calibration_id},
+    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
 };
 use trueup_learn::LiveUpdate;
-use trueup_machine::{Machine, compile, file::LearnedChangeLimits};
+use trueup_machine::{Machine, compile, machine_file::LearnedChangeLimits};
 
 const GROWN_UM: f64 = 40.0;
 /// The offset without what was learned is known to this much.
@@ -38,12 +38,13 @@ impl Lesson {
     }
 
     /// Engaged for so long; each `Control` says a part of these amounts. Gives every offset of Z in µm.
-    fn live(&mut self, ms: u32, amounts: Option<[i16; PART_COUNT]>) -> Vec<f64> {
+    fn live(&mut self, ms: u32, amounts: Option<[i16; LEARNED_PART_COUNT]>) -> Vec<f64> {
         let calibration = calibration_id(self.crc);
         let learned_frame = |counter: u8| {
-            let part = counter % PART_COUNT as u8;
-            let amount = |all: [i16; PART_COUNT]| all[usize::from(part)];
-            let change = |all| ChangeRequest { part: part + 1, amount: amount(all), calibration };
+            let part = counter % LEARNED_PART_COUNT as u8;
+            let amount = |all: [i16; LEARNED_PART_COUNT]| all[usize::from(part)];
+            let change =
+                |all| LearnedChangeRequest { part: part + 1, amount: amount(all), calibration };
             let learned = amounts.map(change).unwrap_or_default();
             Control { learned, ..Control::REFERENCED }
         };
@@ -93,7 +94,7 @@ fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_b
     // Its way is a ramp: after half of the time half of the share, and all of the zero.
     let half = mean(&way[..way.len() / 2]);
     assert!((half - (before + 0.005 * GROWN_UM + 0.5)).abs() < 0.02, "{half}");
-    let back = mean(&lesson.live(WAY_MS + 2_000, Some([0; PART_COUNT])));
+    let back = mean(&lesson.live(WAY_MS + 2_000, Some([0; LEARNED_PART_COUNT])));
     assert!((back - before).abs() < 0.02, "{back} instead of {before}");
     assert!(!lesson.is_refused(), "{:?}", lesson.bench.faults);
 }

@@ -13,12 +13,14 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     linuxcnc::{
-        headless::HeadlessLinuxCnc,
+        headless_linuxcnc::HeadlessLinuxCnc,
         simulated_joints::{self, AxisIniLines},
     },
     setup::{self, LockedLinuxCnc},
 };
-use trueup_export::{Approach, Export, ExportFormat, ExportOptions, export, linuxcnc};
+use trueup_export::{
+    ApproachDirection, ExportFormat, ExportOptions, ExportResult, export, linuxcnc,
+};
 use trueup_machine::{
     MachineFile,
     model::{backlash_um, pitch_error_um},
@@ -114,7 +116,7 @@ fn settled(cnc: &mut HeadlessLinuxCnc) -> Result<[f64; 3]> {
     }
 }
 
-fn files(export: &Export) -> Vec<(String, String)> {
+fn files(export: &ExportResult) -> Vec<(String, String)> {
     export.files.iter().map(|file| (file.name.clone(), file.text.clone())).collect()
 }
 
@@ -131,7 +133,11 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
     assert_eq!(files(&export).len(), 3);
     let lines = |name: usize| export.files[name].text.lines().count();
     assert_eq!([lines(1), lines(2)], [12, 1]);
-    assert!((200..=linuxcnc::MAX_LINES).contains(&lines(0)), "thinned from 400: {}", lines(0));
+    assert!(
+        (200..=linuxcnc::MAX_COMPENSATION_ENTRIES).contains(&lines(0)),
+        "thinned from 400: {}",
+        lines(0)
+    );
 
     let moves = moves();
     let added = run(control, &files(&export), &moves)?;
@@ -144,7 +150,8 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
         let (mut from_model, mut from_reader, mut largest) = (0.0_f64, 0.0_f64, 0.0_f64);
         for (index, (position, added)) in moves.iter().zip(&added).enumerate() {
             let is_up = (1..=top).contains(&index);
-            let approach = if is_up { Approach::Positive } else { Approach::Negative };
+            let approach =
+                if is_up { ApproachDirection::Positive } else { ApproachDirection::Negative };
             let (mm, added_um) = (position[joint], added[joint] * 1000.0);
             let error_um =
                 axis.pitch.as_ref().map_or(0.0, |p| pitch_error_um(p, mm, approach.sign()))

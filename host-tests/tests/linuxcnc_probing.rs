@@ -9,7 +9,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use trueup_emulator::{
     linuxcnc::{
-        headless::HeadlessLinuxCnc,
+        headless_linuxcnc::HeadlessLinuxCnc,
         simulated_joints::{self, AxisIniLines, ControlSettings},
     },
     setup,

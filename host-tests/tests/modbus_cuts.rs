@@ -19,18 +19,20 @@ use trueup_core::{
     cnc::{Control, OffsetQuality},
     units::AdcCode,
 };
-use trueup_emulator::plc::{UNIT_ID, encode_rtu_frame, read_request_pdu, write_request_pdu};
+use trueup_emulator::plc_requests::{
+    MODBUS_UNIT_ID, build_read_request_pdu, build_write_request_pdu, encode_rtu_frame,
+};
 use trueup_gateway::{
     hub::{Hub, MasterId},
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
-use trueup_link::slcan::{Client, Port, client::OPEN_SEQUENCE, encode_line};
+use trueup_link::slcan::{Port, SlcanClient, client::OPEN_SEQUENCE, encode_line};
 use trueup_machine::{MachineFile, compile};
 use trueup_modbus::{
-    holding,
-    input::{InputBlock, Registers},
+    holding_block,
+    input_block::{InputBlock, InputRegisters},
     rtu::{FrameTiming, Slave},
-    server::{Busy, RegisterStore, Response, Transport, handle_request},
+    server::{RegisterStore, RegistersBusy, ResponseBuffer, Transport, handle_request},
 };
 use trueup_node::node::{Interface, Node};
 
@@ -69,7 +71,7 @@ enum Cut {
 
 /// How the PLC reaches the board.
 enum Path {
-    Gateway { hub: Box<Hub>, port: Box<Port>, client: Client, master: MasterId },
+    Gateway { hub: Box<Hub>, port: Box<Port>, client: SlcanClient, master: MasterId },
     Board { slave: Box<Slave> },
 }
 
@@ -77,15 +79,18 @@ enum Path {
 struct HubBridge<'h>(&'h mut Hub, Duration, MasterId);
 
 impl RegisterStore for HubBridge<'_> {
-    fn input_registers(&mut self) -> Registers {
+    fn input_registers(&mut self) -> InputRegisters {
         self.0.input_registers()
     }
 
-    fn holding_registers(&mut self) -> holding::Registers {
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
         self.0.holding_registers()
     }
 
-    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(
+        &mut self,
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         self.0.accept_block(self.1, self.2, block).map(drop)
     }
 }
@@ -94,15 +99,18 @@ impl RegisterStore for HubBridge<'_> {
 struct Direct<'n, 'b>(&'n mut Node<'b>);
 
 impl RegisterStore for Direct<'_, '_> {
-    fn input_registers(&mut self) -> Registers {
+    fn input_registers(&mut self) -> InputRegisters {
         self.0.input_data().encode()
     }
 
-    fn holding_registers(&mut self) -> holding::Registers {
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
         self.0.holding_registers()
     }
 
-    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(
+        &mut self,
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         self.0.receive_registers(block)
     }
 }
@@ -131,14 +139,14 @@ impl Plc {
             (self.is_engaged, self.engaged_ms) = (true, now);
         }
         self.counter = self.counter.wrapping_add(1);
-        write_request_pdu(
+        build_write_request_pdu(
             if self.is_engaged { Control::ENGAGED } else { Control::REFERENCED },
             self.counter,
         )
     }
 
     /// Takes what was read; whether it is used.
-    fn take(&mut self, now: u64, registers: &Registers) -> bool {
+    fn take(&mut self, now: u64, registers: &InputRegisters) -> bool {
         let Some(input) = InputBlock::decode(registers) else { return false };
         let is_new = self.seen.replace(input.counter) != Some(input.counter);
         let Some(offset) = input.output.offset.filter(|_| is_new) else { return false };
@@ -195,7 +203,7 @@ impl World<'_> {
         let codes = std::array::from_fn(|i| AdcCode(mean as u16 + (i % 2) as u16));
         let before = self.node.last_output().offset;
         let frames = self.node.tick(1, Samples { codes: Some(&codes), ..Samples::default() });
-        self.node.service();
+        self.node.next_service_frame();
         let after = self.node.last_output().offset;
         for (was, is) in before.iter().flatten().zip(after.iter().flatten()) {
             let step = f64::from(is.0.abs_diff(was.0));
@@ -248,20 +256,26 @@ impl World<'_> {
         let mut request = match self.path {
             Path::Gateway { .. } => {
                 let length = (pdu.len() as u16 + 1).to_be_bytes();
-                [&[0, 7, 0, 0][..], &length, &[UNIT_ID], pdu].concat()
+                [&[0, 7, 0, 0][..], &length, &[MODBUS_UNIT_ID], pdu].concat()
             }
-            Path::Board { .. } => encode_rtu_frame(UNIT_ID, pdu),
+            Path::Board { .. } => encode_rtu_frame(MODBUS_UNIT_ID, pdu),
         };
         if self.cut == Cut::Plc {
             let goes = self.random.random_range(0..request.len());
             request.truncate(goes);
         }
-        let mut response = Response::new();
+        let mut response = ResponseBuffer::new();
         let is_answered = match &mut self.path {
             // Half a request is waited for, and then the connection is closed.
             Path::Gateway { hub, master, .. } => {
                 let mut reached = HubBridge(hub, Duration::from_millis(self.now), *master);
-                handle_request(Transport::Tcp, UNIT_ID, &request, &mut reached, &mut response)
+                handle_request(
+                    Transport::Tcp,
+                    MODBUS_UNIT_ID,
+                    &request,
+                    &mut reached,
+                    &mut response,
+                )
             }
             Path::Board { slave } => {
                 let mut now_us = (self.now * 1_000) as u32;
@@ -283,7 +297,7 @@ impl World<'_> {
         // By a serial line the next request comes when the first is over.
         (0..CYCLE_MS / 2).try_for_each(|_| self.tick())?;
         let head = if matches!(self.path, Path::Gateway { .. }) { 9 } else { 3 };
-        if let Some(answer) = self.query(&read_request_pdu()) {
+        if let Some(answer) = self.query(&build_read_request_pdu()) {
             let (words, _) = answer.get(head..head + 56).context("the block")?.as_chunks::<2>();
             let words: Vec<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
             if self.plc.take(self.now, &words.try_into().ok().context("28 registers")?) {
@@ -324,7 +338,7 @@ impl World<'_> {
                 // A new connection, of which the gateway may not know that the old one has gone.
                 Cut::Plc | Cut::Answers => {
                     if self.random.random() {
-                        hub.release_master(*master);
+                        hub.unregister_master(*master);
                     }
                     *master += 1;
                 }
@@ -408,11 +422,12 @@ fn a_thousand_cuts_of_either_line_make_no_step_and_nothing_old_is_used() -> Resu
     let gateway = Path::Gateway {
         hub: Box::new(Hub::new(PinnedCalibration::new(CalibrationPolicy::Any))),
         port: Box::new(Port::new(1)),
-        client: Client::new(),
+        client: SlcanClient::new(),
         master: 1,
     };
-    let board =
-        Path::Board { slave: Box::new(Slave::new(UNIT_ID, FrameTiming::from_baud(115_200))) };
+    let board = Path::Board {
+        slave: Box::new(Slave::new(MODBUS_UNIT_ID, FrameTiming::from_baud(115_200))),
+    };
     for (name, path) in [("gateway", gateway), ("board", board)] {
         println!("{name}: {COUNT} cuts, {:?}", cuts(path, COUNT, 1).context(name)?);
     }

@@ -10,7 +10,7 @@
 
 use trueup_emulator::{
     call_graph::CallGraph,
-    firmware::{self, Board},
+    firmware_images::{self, Board},
 };
 
 /// Returns what is called with what comes from outside. The virtual board has no line for a PLC.
@@ -28,7 +28,7 @@ fn entries(board: Board) -> &'static [&'static str] {
 #[test]
 fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
     for board in Board::ALL {
-        let image = firmware::build(board).unwrap();
+        let image = firmware_images::build(board).unwrap();
         let graph = CallGraph::read(&image).unwrap();
         for entry in entries(board) {
             let reached = graph.reachable_from(entry).unwrap();
@@ -45,7 +45,7 @@ fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
 #[test]
 fn a_panic_that_is_there_is_seen() {
     // The benchmark's own `main` has `expect`s.
-    let graph = CallGraph::read(&firmware::build_benchmark_image().unwrap()).unwrap();
+    let graph = CallGraph::read(&firmware_images::build_benchmark_image().unwrap()).unwrap();
     let reached = graph.reachable_from("__cortex_m_rt_main").unwrap();
     assert!(reached.names.iter().any(|name| name.contains("panic")), "{:?}", reached.names);
 }

@@ -6,23 +6,23 @@ use std::{fmt::Write as _, fs, path::Path, process::Command};
 use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
 use trueup_campaigns::{faulty_machine::SeparableFaultMachine, run_table::parse_run};
 use trueup_demo::{
-    act_one::{MeasuredRunInput, run_measured_run_demo},
-    act_two::run_hidden_fault_demo,
-    boards::BoardSource,
-    page,
+    hidden_fault_demo::run_hidden_fault_demo,
+    html_report,
+    measured_run_demo::{MeasuredRunInput, run_measured_run_demo},
+    stepped_board::BoardSource,
     summary::DemoSummary,
 };
 use trueup_diagnose::diagnose;
 use trueup_emulator::{
     linuxcnc::{
         self,
-        figures::{AcceptanceCheck, ErrorCurve, ErrorCurves, LoopFigures, StaircaseStep},
+        loop_results::{AcceptanceCheck, ErrorCurve, ErrorCurves, LoopFigures, StaircaseStep},
     },
     process, setup,
 };
 use trueup_fleet::{
-    constants::{EstimatedConstant, NamedFinding},
-    pool::Estimate,
+    estimated_constants::{EstimatedConstant, NamedFinding},
+    random_effects::Estimate,
     record::MachineRecord,
 };
 use trueup_machine::{MachineFile, RunFile};
@@ -97,7 +97,7 @@ fn demonstration() -> String {
     let hidden = SeparableFaultMachine::draw(7).expect("a machine that can be diagnosed");
     let two =
         run_hidden_fault_demo(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
-    let html = page::render_page(&one, Some(&two));
+    let html = html_report::render_page(&one, Some(&two));
     // What the page says is what the JSON says.
     let summary = DemoSummary::new(&one, Some(&two.outcome), "host", 0.0);
     let json = serde_json::to_value(&summary).expect("JSON");
@@ -185,7 +185,7 @@ fn fleet() -> String {
     };
     let records: Vec<MachineRecord> = (1..=12).map(record).collect();
     let series = trueup_fleet::series::evaluate_series(&records, vec!["a note".into()]);
-    trueup_fleet::html_page::render_html(&series, "shop", &trueup_page::Provenance::default())
+    trueup_fleet::html_report::render_html(&series, "shop", &trueup_page::Provenance::default())
 }
 
 /// Returns how many sheets of paper a page takes.
@@ -237,7 +237,7 @@ fn loop_with_linuxcnc() -> String {
         at_least: true,
     };
     let missed = AcceptanceCheck { name: "a figure that is missed", value: 12.0, ..check.clone() };
-    linuxcnc::page::render_page(&LoopFigures {
+    linuxcnc::html_report::render_page(&LoopFigures {
         checks: vec![check, missed],
         stairs: vec![StaircaseStep {
             z_mm: -1250.0,

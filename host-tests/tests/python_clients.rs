@@ -16,7 +16,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, TIMEOUT, file, wait_until_stuck};
 use trueup_core::cnc::{CncMessage as CncCommand, Control, OffsetFlags, OffsetQuality};
-use trueup_emulator::{cnc::CncClient, setup};
+use trueup_emulator::{cnc_client::CncClient, setup};
 use trueup_link::e2e;
 
 const CNC_LOST: u8 = OffsetFlags::CNC_LOST.0;

@@ -23,7 +23,7 @@ use trueup_fit::{
     bspline::{clamped_knots, evaluate_with_derivatives, fit_least_squares_spline, is_determined},
     straightness::{StraightnessFitOptions, fit},
 };
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
 /// Returns what `host-tests/python/splines.py` answers.
 fn scipy(request: &Value) -> Result<Value> {

@@ -11,7 +11,7 @@ use std::{fs, path::Path, process::Command};
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{host_programs, setup};
 use trueup_machine::{MachineFile, compile};
-use trueup_servo::component::C_HEADER;
+use trueup_servo::component::COMPONENT_C_HEADER;
 
 /// Most instructions of a servo period.
 const MAX_INSTRUCTIONS: u64 = 30_000;
@@ -67,7 +67,7 @@ fn run(command: &mut Command) -> Result<String> {
 fn harness(folder: &Path) -> Result<()> {
     let library = host_programs::build_servo_library()?;
     fs::write(folder.join("harness.c"), HARNESS)?;
-    fs::write(folder.join("trueup_servo.h"), C_HEADER)?;
+    fs::write(folder.join("trueup_servo.h"), COMPONENT_C_HEADER)?;
     let mut gcc = Command::new("gcc");
     gcc.current_dir(folder).args(["-O2", "-g", &format!("-DCOUNTED={COUNTED}"), "-o", "harness"]);
     run(gcc.arg("harness.c").arg(library).args(["-Wl,--gc-sections", "-lm"]))?;

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use trueup_emulator::{
     call_graph::{CallGraph, StackDepth},
-    firmware, setup,
+    firmware_images, setup,
 };
 
 /// Bytes of the stack (`src/board/stm32f405/mpu.rs`).
@@ -38,7 +38,8 @@ fn is_known(name: &str) -> bool {
 #[test]
 fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
     let machine = setup::project_root().join("data/paper_spindle.toml");
-    let graph = CallGraph::read(&firmware::build_image_for_machine(&machine).unwrap()).unwrap();
+    let graph =
+        CallGraph::read(&firmware_images::build_image_for_machine(&machine).unwrap()).unwrap();
     let mut blind = BTreeSet::new();
     let mut of = |name: &str, without: &[&str]| {
         let without: Vec<&str> = APART.iter().chain(without).copied().collect();

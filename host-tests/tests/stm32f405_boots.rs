@@ -11,27 +11,28 @@ use anyhow::{Result, bail, ensure};
 use trueup_boot::flash_layout::HANDOVER_START;
 use trueup_core::cnc::{OffsetFlags, OffsetQuality, Output};
 use trueup_emulator::{
-    firmware::{self, Board},
-    qemu::Qemu,
+    firmware_images::{self, Board},
+    qemu::QemuProcess,
     rtt::{QEMU_MONITOR_ARGUMENTS, QemuMonitor},
     setup,
 };
 use trueup_link::{
     receiver::OffsetReceiver,
-    slcan::{Client, Event, client::OPEN_SEQUENCE},
+    slcan::{AdapterMessage, SlcanClient, client::OPEN_SEQUENCE},
 };
 
 /// Boots the image, opens the serial line and waits for offsets. Gives them with the time from the
 /// start of QEMU, and the log.
 fn boot() -> Result<(Output, Duration, Vec<String>)> {
-    let image = firmware::build(Board::Stm32f405)?;
+    let image = firmware_images::build(Board::Stm32f405)?;
     setup::ensure_qemu()?;
     let started = Instant::now();
     let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
-    let mut qemu = Qemu::start(&image, &[serial, QEMU_MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
+    let mut qemu =
+        QemuProcess::start(&image, &[serial, QEMU_MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
     let mut stream = qemu.connect("serial.sock")?;
     stream.set_read_timeout(Some(Duration::from_millis(20)))?;
-    let (mut client, mut offsets) = (Client::new(), OffsetReceiver::new());
+    let (mut client, mut offsets) = (SlcanClient::new(), OffsetReceiver::new());
     let mut bytes = [0; 4096];
     let output = 'wait: loop {
         ensure!(started.elapsed() < Duration::from_secs(20), "the board never says: not available");
@@ -45,7 +46,7 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
             Err(error) => return Err(error.into()),
         };
         for &byte in &bytes[..length] {
-            if let Some(Event::Frame(frame)) = client.receive(byte)
+            if let Some(AdapterMessage::Frame(frame)) = client.receive(byte)
                 && let Some(output) = offsets.accept(&frame)?
                 // The first cycles come before the missing samples count as missing.
                 && output.quality == OffsetQuality::Fault
@@ -81,7 +82,7 @@ fn it_boots_with_everything_dead_reports_it_and_sends_not_available() {
 
     assert_eq!((output.offset, output.quality), (None, OffsetQuality::Fault));
     assert_eq!(output.age_ms, 255);
-    assert!(output.flags.contains(OffsetFlags::SAMPLES_MISSING.with(OffsetFlags::BOARD_DEGRADED)));
+    assert!(output.flags.contains(OffsetFlags::SAMPLES_MISSING.union(OffsetFlags::BOARD_DEGRADED)));
     assert!(took < Duration::from_secs(1), "{took:?}");
     let dead = [
         "crystal",
@@ -100,7 +101,7 @@ fn it_boots_with_everything_dead_reports_it_and_sends_not_available() {
 
 #[test]
 fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
-    let image = firmware::build(Board::Stm32f405).expect("it builds");
+    let image = firmware_images::build(Board::Stm32f405).expect("it builds");
     let bytes = std::fs::read(image.with_extension("bin")).expect("the bytes beside the image");
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
     // The boot program, and the application behind the header of slot A.
@@ -113,7 +114,7 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
     // From 32 to 64 KB is nothing.
     let gap = 0x8000..0x1_0000;
     assert!(bytes[gap.clone()].iter().all(|byte| *byte == 0xFF), "erased flash");
-    let size = trueup_emulator::size::measure_memory_usage(&image).expect("it has code");
+    let size = trueup_emulator::memory_usage::measure_memory_usage(&image).expect("it has code");
     let content = (bytes.len() - gap.len()) as u64;
     assert!(size.flash <= content && content < size.flash + 0x8000, "{size:?}");
 }
@@ -121,8 +122,9 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
 #[test]
 fn the_images_have_code_and_leave_room() {
     for board in Board::ALL {
-        let image = firmware::build(board).expect("it builds");
-        let size = trueup_emulator::size::measure_memory_usage(&image).expect("it has code");
+        let image = firmware_images::build(board).expect("it builds");
+        let size =
+            trueup_emulator::memory_usage::measure_memory_usage(&image).expect("it has code");
         println!("{}: {size:?}", board.cargo_feature());
         // Of 128 KB. Both have room for a calibration that is being loaded, 16 KB; `virtual` has the
         // running one in RAM as well.

@@ -9,16 +9,15 @@ use trueup_core::{
     units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd,
     board::{self, VirtualBoard},
-    cnc::CncClient,
-    firmware,
-    front_end::FrontEnd,
-    setup,
+    cnc_client::CncClient,
+    firmware_images, setup,
 };
-use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::Event};
+use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::AdapterMessage};
 use trueup_machine::{CompiledCalibration, MachineFile, compile};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_pipe::{Block, FRAMES_PER_BLOCK};
@@ -36,14 +35,14 @@ fn compiled() -> CompiledCalibration {
 }
 
 fn boot() -> VirtualBoard {
-    let image = firmware::build_virtual_board_image().expect("the image builds");
+    let image = firmware_images::build_virtual_board_image().expect("the image builds");
     VirtualBoard::boot(&image, compiled().blob()).expect("the board boots")
 }
 
 /// Returns a life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
 /// engages, disengages, sends damaged and repeated frames, falls silent and comes back.
 fn eventful_life(ms: u32) -> Vec<Block> {
-    let mut front_end = FrontEnd::new(0.328, 42);
+    let mut front_end = AnalogueFrontEnd::new(0.328, 42);
     let mut random = 7_u32;
     let mut counter = 0;
     (0..ms)
@@ -102,7 +101,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
     let compiled = compiled();
     // The status tells the blob's CRC.
     let blob = compiled.blob();
-    let mut node = Node::new(Configuration { blob, ..compiled.calibration().into() });
+    let mut node = Node::new(NodeConfiguration { blob, ..compiled.calibration().into() });
     let mut sent = Sent::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {
@@ -114,7 +113,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
             speed: block.speed,
             temperatures: Some(&block.temperatures),
         };
-        let frames = node.tick(1, input).into_iter().chain(node.service());
+        let frames = node.tick(1, input).into_iter().chain(node.next_service_frame());
         sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
         // As the board's log does, once a second; the status tells it.
         if node.now().0 % 1_000 == 10 {
@@ -159,7 +158,7 @@ fn two_runs_on_the_board_are_the_same_to_the_bit() {
 fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
     const SETTLED_VOLTS: f64 = 9_164.0 * 10.0 / 32_768.0;
     let mut board = boot();
-    let mut front_end = FrontEnd::new(0.328, 1);
+    let mut front_end = AnalogueFrontEnd::new(0.328, 1);
     let mut cnc =
         CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
     for _ in 0..20 {
@@ -173,7 +172,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
             })
             .collect();
         for (_, on_the_bus) in board.step(&blocks).expect("the board lives") {
-            assert_eq!(cnc.next_event().expect("a frame"), Event::Frame(on_the_bus));
+            assert_eq!(cnc.next_event().expect("a frame"), AdapterMessage::Frame(on_the_bus));
             let output = cnc.offsets.accept(&on_the_bus).expect("valid");
             // The paper: 9164 counts are 62.8 µm of growth. The tool tip is too low, so up: +Z.
             if let Some(output) = output.filter(|output| output.flags.0 == 0) {
@@ -186,7 +185,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
             }
         }
     }
-    assert_eq!(cnc.offsets.counters().lost + cnc.offsets.unpaired_count(), 0);
+    assert_eq!(cnc.offsets.counters().lost + cnc.offsets.unpaired_frame_count(), 0);
     let log = board.log();
     println!("{}", log.join("\n"));
     assert!(log.iter().any(|line| line.contains("is up")), "{log:?}");
@@ -195,7 +194,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
 #[test]
 fn the_log_measures_the_noise_of_the_front_end() {
     let mut board = boot();
-    let mut front_end = FrontEnd::new(0.328, 1);
+    let mut front_end = AnalogueFrontEnd::new(0.328, 1);
     for _ in 0..12 {
         let blocks: Vec<Block> = (0..BATCH)
             .map(|_| Block { codes: front_end.convert_block(|_| 3.0), ..Block::default() })
@@ -236,7 +235,7 @@ fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
         let refused = cnc.query(bad).expect_err("a line that is none");
         assert!(refused.to_string().contains(bad), "{refused}");
     }
-    let mut front_end = FrontEnd::new(0.328, 1);
+    let mut front_end = AnalogueFrontEnd::new(0.328, 1);
     let blocks: Vec<Block> = (0..20)
         .map(|_| Block { codes: front_end.convert_block(|_| 3.0), ..Block::default() })
         .collect();

@@ -25,12 +25,12 @@ use trueup_emulator::setup;
 use trueup_machine::{
     Machine, MachineFile,
     compile::compile,
-    file::AngleProfile,
+    machine_file::AngleProfile,
     model::{ReferenceModel, RowInputs, volumetric_error_um},
 };
 use trueup_twin::{
-    bodies::{Body, MovingAxis, error_um},
     cubic_spline::CubicSpline,
+    rigid_bodies::{Body, MovingAxis, error_um},
 };
 
 /// Kind, and the rotary axes of the workpiece, from it to the bed, and of the tool, from the frame.
@@ -412,7 +412,7 @@ fn bodies(machine: &Machine) -> Vec<Body> {
     };
     let linear = chain.linear.iter().map(|axis| {
         let turn = |about: usize| {
-            let of = |motion: &&trueup_machine::file::AngularErrorMotion| {
+            let of = |motion: &&trueup_machine::machine_file::AngularErrorMotion| {
                 motion.along == *axis && motion.about.index() == about
             };
             let angle = &volume.angular.iter().find(of).expect("all nine are drawn").angle;
@@ -428,7 +428,7 @@ fn bodies(machine: &Machine) -> Vec<Body> {
             ..plain(DRIVES[axis.index()], chain.moves_workpiece(*axis), at_mm)
         }
     });
-    let rotary = |axis: &trueup_machine::file::RotaryAxis, workpiece: bool| {
+    let rotary = |axis: &trueup_machine::machine_file::RotaryAxis, workpiece: bool| {
         let known =
             volume.rotary.iter().find(|location| location.axis == *axis).expect("all are drawn");
         Body {

@@ -9,18 +9,17 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, OffsetFlags, OffsetQuality, Output, RotaryAxisAngles,
         TravelDirection,
     },
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, MicroOhms, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd,
     board::{MAX_BATCH_BLOCKS, VirtualBoard},
-    firmware,
-    front_end::FrontEnd,
-    setup,
+    firmware_images, setup,
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 use trueup_machine::{
-    CompiledCalibration, Machine, MachineFile, RunFile, compile, predict::Predictor,
+    CompiledCalibration, Machine, MachineFile, RunFile, compile, predict::RunPredictor,
 };
 use trueup_node::node::{Interface, Node};
 use trueup_pipe::{Block, FRAMES_PER_BLOCK};
@@ -30,7 +29,7 @@ fn machine(text: &str) -> Machine {
 }
 
 fn boot(compiled: &CompiledCalibration) -> VirtualBoard {
-    let image = firmware::build_virtual_board_image().expect("the image builds");
+    let image = firmware_images::build_virtual_board_image().expect("the image builds");
     VirtualBoard::boot(&image, compiled.blob()).expect("the board boots")
 }
 
@@ -102,11 +101,11 @@ fn the_papers_line_and_worked_axis_run_on_the_board_in_sixteenths_of_a_kelvin() 
     let mut before = 0.0;
     let [cold, warm] = [4000 + 23 * 16, 4000 + 42 * 16];
     for counts in cold..=warm {
-        let mut temperatures = [RawReading::NONE; 8];
+        let mut temperatures = [RawTemperatureReading::NONE; 8];
         // The paper's converter gives 32768 counts at 10 V, the board's 4096 codes at 3.3 V behind a divider of 0.328:
         // 4368 counts (23 °C) are 1.3330 V, 0.43723 V at the pin and code 542.69.
         let code = f64::from(counts) / 32_768.0 * 10.0 * 0.328 / 3.3 * 4_096.0;
-        temperatures[0] = RawReading((code * 256.0).round() as i32);
+        temperatures[0] = RawTemperatureReading((code * 256.0).round() as i32);
         // The axis follows by 1 s: after 10 s nothing of the step is left. In between it goes on, by 0.2 K/s.
         let is_judged = counts - cold <= 16 || warm - counts <= 16 || counts % 16 == 0;
         let blocks: Vec<Block> = (0..if is_judged { 10_000 } else { 300 })
@@ -219,9 +218,9 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
     .expect("it compiles");
     let mut sender = Sender::default();
     let at = At { degrees: [30.0, 0.0], ..At::default() };
-    let mut temperatures = [RawReading::NONE; 8];
+    let mut temperatures = [RawTemperatureReading::NONE; 8];
     // 50 K above the reference: 0.5 mm.
-    temperatures[4] = RawReading(70 * 16 * 256);
+    temperatures[4] = RawTemperatureReading(70 * 16 * 256);
     let blocks: Vec<Block> = (0..1_500)
         .map(|_| Block { temperatures, frames: sender.frames(&at), ..Block::default() })
         .collect();
@@ -250,14 +249,14 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
     let machine = machine(&text);
     let compiled = compile(&machine).expect("it compiles");
     let (screw_c, beam_c, counts) = (31.25, 27.5, 7_000.0);
-    let mut temperatures = [RawReading::NONE; 8];
+    let mut temperatures = [RawTemperatureReading::NONE; 8];
     let units = |celsius: f64| Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32);
     let MicroOhms(screw) = trueup_core::pt100::resistance_from_temperature(units(screw_c));
-    temperatures[0] = RawReading(screw);
+    temperatures[0] = RawTemperatureReading(screw);
     // 4000 + 16·27.5 = 4440 counts of 32768 at 10 V: 1.35498 V, code 551.63.
     let beam_codes: f64 = (4000.0 + 16.0 * beam_c) / 32_768.0 * 3.28 / 3.3 * 4_096.0;
-    temperatures[1] = RawReading((beam_codes * 256.0).round() as i32);
-    temperatures[2] = RawReading(screw);
+    temperatures[1] = RawTemperatureReading((beam_codes * 256.0).round() as i32);
+    temperatures[2] = RawTemperatureReading(screw);
 
     // There and back, ten steps each way.
     let places: Vec<At> = (0..21)
@@ -283,12 +282,12 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
         );
     }
     let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("our own run");
-    let predictor = Predictor::new(&machine, &run).expect("can be predicted");
+    let predictor = RunPredictor::new(&machine, &run).expect("can be predicted");
     let predictions: Vec<_> = predictor.predictions().collect();
 
     let mut board = boot(&compiled);
     let (mut offsets, mut sender) = (OffsetReceiver::new(), Sender::default());
-    let mut front_end = FrontEnd::new(0.328, 5);
+    let mut front_end = AnalogueFrontEnd::new(0.328, 5);
     let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
     for (at, prediction) in places.iter().zip(&predictions) {
         let blocks: Vec<Block> = (0..1_000)

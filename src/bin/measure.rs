@@ -27,17 +27,17 @@ use trueup_core::{
     calibration::Calibration,
     cnc::{LinearAxis, OffsetFlags, OffsetQuality, Output},
     curve::Curve,
-    dimensions::CODES_PER_TICK,
-    filter::Filter,
+    design_parameters::CODES_PER_TICK,
     gradient::Gradient,
     kinematics::RotaryAxis,
     limits::AppliedOffset,
     machine_position::MachinePosition,
+    reversal::Fraction,
     revolution_window::RevolutionWindow,
+    run_out_filter::RunOutFilter,
     sensor_health::SensorHealth,
     thermal_state::MachineThermalState,
-    travel::Fraction,
-    units::{AdcCode, FineNanometres, MicroDegrees, Nanometres, Position, Reading, Rpm},
+    units::{AdcCode, FineNanometres, MicroDegrees, Nanometres, Position, Rpm, SensorReading},
     volumetric_error::{
         AngularErrorCurve, AngularErrors, KinematicChain, RotaryLocation, VolumetricErrorModel,
     },
@@ -57,12 +57,13 @@ const TABLE_INTERVALS: usize = 1_024;
 
 #[entry]
 fn main() -> ! {
-    static mut CALIBRATION: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
+    static mut CALIBRATION_BUFFER: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
     static mut BY_TOOL: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
     static mut CURVES: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
     static mut COSTS: [u16; POSITION_COUNT] = [0; POSITION_COUNT];
     start_instruction_counter();
-    let calibration = decode(read_file(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
+    let calibration =
+        decode(read_file(c"calibration.bin", CALIBRATION_BUFFER)).expect("calibration.bin");
     let by_tool = decode(read_file(c"by_tool.bin", BY_TOOL)).expect("by_tool.bin");
     let curves = decode(read_file(c"curves.bin", CURVES)).expect("curves.bin");
     let mut number = [0; 4];
@@ -197,8 +198,8 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
     let kinematics = calibration.kinematics;
     part("tool_direction", &mut |random| {
         let angles =
-            [180_000_000, 110_000_000].map(|most| MicroDegrees(random.next_symmetric(most)));
-        let elongation = Nanometres(random.next_symmetric(200_000));
+            [180_000_000, 110_000_000].map(|most| MicroDegrees(random.next_signed_within(most)));
+        let elongation = Nanometres(random.next_signed_within(200_000));
         net_call_cost(&mut || {
             black_box(&kinematics.tool_direction(angles).project_elongation_fine(elongation));
         })
@@ -206,13 +207,13 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
     let mut applied = AppliedOffset::default();
     let limits = calibration.limits;
     part("limits", &mut |random| {
-        let target = [(); 3].map(|()| Nanometres(random.next_symmetric(400_000)));
+        let target = [(); 3].map(|()| Nanometres(random.next_signed_within(400_000)));
         net_call_cost(&mut || {
             black_box(applied.step(&limits, target, 1));
         })
     });
     part("frames", &mut |random| {
-        let offset = Some([(); 3].map(|()| Nanometres(random.next_symmetric(400_000))));
+        let offset = Some([(); 3].map(|()| Nanometres(random.next_signed_within(400_000))));
         let output =
             Output { offset, quality: OffsetQuality::Live, flags: OffsetFlags::NONE, age_ms: 1 };
         let counter = random.next_u32() as u8;
@@ -232,7 +233,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|_| AdcCode(700 + (random.next_u32() & 7) as u16));
         net_call_cost(&mut || {
-            black_box(&health.check(&codes, true));
+            black_box(&health.check_codes(&codes, true));
         })
     });
     part("window", &mut |random| {
@@ -241,7 +242,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'
             black_box(&RevolutionWindow::for_speed(speed));
         })
     });
-    let mut filter = Filter::new();
+    let mut filter = RunOutFilter::new();
     for _ in 0..WARM_UP_TICKS {
         filter.tick(&[AdcCode(700); CODES_PER_TICK], Some(Rpm(18_000)));
     }
@@ -254,7 +255,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'
     });
     let sensor = calibration.spindle.sensor;
     part("elongation", &mut |random| {
-        let reading = Reading(random.next_below(4_095 << 10).cast_signed());
+        let reading = SensorReading(random.next_below(4_095 << 10).cast_signed());
         net_call_cost(&mut || {
             black_box(sensor.elongation(reading));
         })
@@ -265,7 +266,7 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'
 fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>) {
     part("thermal", &mut |random| {
         let places = random_position(random);
-        let gradients = [(); 3].map(|()| Gradient(random.next_symmetric(20_000_000)));
+        let gradients = [(); 3].map(|()| Gradient(random.next_signed_within(20_000_000)));
         net_call_cost(&mut || {
             let mut sums = [FineNanometres::ZERO; 3];
             for ((sum, gradient), at) in sums.iter_mut().zip(&gradients).zip(&places) {
@@ -350,7 +351,7 @@ fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut PartMeasur
         net_call_cost(&mut || cached.update_axis_position(&calibration, &heat, &at, axis))
     });
     part("turned_volume", &mut |random| {
-        at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.next_symmetric(most)));
+        at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.next_signed_within(most)));
         net_call_cost(&mut || cached.update_rotary_angles(&calibration, &at))
     });
     part("added_up_volume", &mut |_| net_call_cost(&mut || cached.sum_parts(&calibration, &at)));
@@ -358,10 +359,10 @@ fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut PartMeasur
 }
 
 /// A function of a position and what it is looked up in.
-type Lookup<T> = fn(Position, &T) -> i32;
+type LookupFn<T> = fn(Position, &T) -> i32;
 
 #[inline(never)]
-fn lookup_cost<T>(lookup: Lookup<T>, at: Position, of: &T) -> u16 {
+fn measure_lookup_cost<T>(lookup: LookupFn<T>, at: Position, of: &T) -> u16 {
     let lookup = black_box(lookup);
     let start = read_instruction_counter();
     let value = lookup(at, of);
@@ -459,10 +460,16 @@ fn measure_spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>)
         let [min, median, max] = min_median_max(costs);
         writeln!(text, "{name} {min} {median} {max} {segments}").expect("space");
     };
-    let empty = |at: Position| lookup_cost(baseline_lookup, at, &());
-    measure("curve", &|at| lookup_cost(evaluate_curve, at, curve).saturating_sub(empty(at)));
-    measure("de_boor", &|at| lookup_cost(evaluate_de_boor, at, &deboor).saturating_sub(empty(at)));
-    measure("linear", &|at| lookup_cost(interpolate_linear, at, &table).saturating_sub(empty(at)));
+    let empty = |at: Position| measure_lookup_cost(baseline_lookup, at, &());
+    measure("curve", &|at| {
+        measure_lookup_cost(evaluate_curve, at, curve).saturating_sub(empty(at))
+    });
+    measure("de_boor", &|at| {
+        measure_lookup_cost(evaluate_de_boor, at, &deboor).saturating_sub(empty(at))
+    });
+    measure("linear", &|at| {
+        measure_lookup_cost(interpolate_linear, at, &table).saturating_sub(empty(at))
+    });
     // How far the three are apart, so that none of them computes something else, in 1/256 nm.
     let mut random = XorShift32::new(4);
     let mut apart = [0; 2];

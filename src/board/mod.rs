@@ -29,19 +29,19 @@
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
     calibration::Calibration,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, Rpm},
 };
 use trueup_modbus::rtu::FrameTiming;
 use trueup_node::reset_info::ResetInfo;
-use trueup_store::{calibration::BlobError, reference::ReferenceStore, retained};
+use trueup_store::{calibration::BlobError, reference::ReferenceStore, retained_state};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");
 #[cfg(not(any(feature = "stm32f405", feature = "virtual")))]
 compile_error!("choose a board: --features stm32f405 or --features virtual");
 
-pub mod references;
+pub mod reference_store;
 mod retained_ram;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
@@ -73,8 +73,8 @@ pub struct Block {
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
     /// Readings of the temperature channels, where they come with the samples and not from
-    /// [`Thermometers`]. A channel that nothing is wired to is [`RawReading::NONE`].
-    pub temperatures: Option<[RawReading; TEMPERATURE_CHANNEL_COUNT]>,
+    /// [`Thermometers`]. A channel that nothing is wired to is [`RawTemperatureReading::NONE`].
+    pub temperatures: Option<[RawTemperatureReading; TEMPERATURE_CHANNEL_COUNT]>,
 }
 
 /// How a CAN controller is on its bus (ISO 11898-1, fault confinement).
@@ -92,11 +92,11 @@ pub struct CanErrorState {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum TransmitState {
     /// None waits.
-    All,
+    Idle,
     /// A piece is going out, or is held up; an interrupt comes at its end.
     Busy,
     /// More waits, and no interrupt requests it.
-    More,
+    MorePending,
 }
 
 /// Faults that a board found at start-up.
@@ -166,7 +166,7 @@ pub struct Parts {
     pub service_switch: ServiceSwitch,
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The store of references and writes, and what it holds for the start.
-    pub references: (ReferenceStore<Flash>, references::StoredState),
+    pub references: (ReferenceStore<Flash>, reference_store::StoredState),
     pub faults: StartupFaults,
     /// How the board came to run.
     pub start: ResetInfo,
@@ -182,7 +182,7 @@ pub struct Parts {
     /// The calibration is the example's: another machine's spindle.
     pub is_example: bool,
     /// State that outlasts a reset, unless the power was gone.
-    pub retained: &'static mut retained::RetainedCopies,
+    pub retained: &'static mut retained_state::RetainedCopies,
     /// Memory that outlasts a power cut as well.
     pub backup: BackupDomain,
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.

@@ -2,7 +2,7 @@
 
 use core::{mem::MaybeUninit, ptr::addr_of_mut};
 
-use trueup_store::retained::{RETAINED_COPY_SIZE, RetainedCopies};
+use trueup_store::retained_state::{RETAINED_COPY_SIZE, RetainedCopies};
 
 /// Its bytes are whatever they were; any are valid ones, and their CRC says which mean something.
 #[unsafe(link_section = ".uninit.RETAINED")]

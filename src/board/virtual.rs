@@ -52,7 +52,7 @@ use crate::liveness::{self, Task};
 
 use super::{
     Block, CODES_PER_BLOCK, CanErrorState, Parts, PlcInterface, StartupFaults,
-    TEMPERATURE_CHANNEL_COUNT, TransmitState, references, retained_ram,
+    TEMPERATURE_CHANNEL_COUNT, TransmitState, reference_store, retained_ram,
 };
 
 use defmt_semihosting as _;
@@ -72,9 +72,9 @@ const _: () = assert!(pipe::FRAMES_PER_BLOCK <= 8);
 static CAN_TX_QUEUE: Mutex<RefCell<Vec<BoardRecord, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
 /// The service switch is closed, by the last block.
-static SWITCH_IS_CLOSED: AtomicBool = AtomicBool::new(false);
+static IS_SWITCH_CLOSED: AtomicBool = AtomicBool::new(false);
 /// The board is to start anew once the batch is done.
-static RESTART_REQUESTED: AtomicBool = AtomicBool::new(false);
+static IS_RESTART_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// A process that starts is a machine that was cold for a day, as `predict` takes it.
 pub const COLD_AT_START: bool = true;
@@ -128,7 +128,7 @@ pub fn start(
         blob.and_then(|blob| Ok((calibration::calibration_crc(blob), calibration::decode(blob)?)));
     let calibration_is_good = calibration.is_ok();
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
-    let references = references::open(Flash::load(), identity, || ());
+    let references = reference_store::open(Flash::load(), identity, || ());
     let samples =
         open_file(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
@@ -217,7 +217,7 @@ pub struct ServiceSwitch;
 
 impl ServiceSwitch {
     pub fn is_closed(&mut self) -> bool {
-        SWITCH_IS_CLOSED.load(Ordering::Relaxed)
+        IS_SWITCH_CLOSED.load(Ordering::Relaxed)
     }
 }
 
@@ -248,7 +248,7 @@ impl SerialOut {
             let count = fill(&mut piece);
             piece[..count].iter().for_each(|byte| self.write_byte(*byte));
             if count < piece.len() {
-                return TransmitState::All;
+                return TransmitState::Idle;
             }
         }
     }
@@ -323,7 +323,7 @@ impl Store {
 /// Starts the board anew at the end of the batch: the host learns of it there, and rings no more until
 /// the board is up again.
 pub fn restart() {
-    RESTART_REQUESTED.store(true, Ordering::Relaxed);
+    IS_RESTART_REQUESTED.store(true, Ordering::Relaxed);
 }
 
 /// Announced blocks as they come from the pipe.
@@ -394,7 +394,7 @@ impl Idle {
             for frame in block.frames.into_iter().flatten() {
                 received |= from_bus.push_back(frame).is_ok();
             }
-            SWITCH_IS_CLOSED.store(block.service_switch, Ordering::Relaxed);
+            IS_SWITCH_CLOSED.store(block.service_switch, Ordering::Relaxed);
             let codes: [_; CODES_PER_BLOCK] = block.codes;
             let temperatures: Option<[_; TEMPERATURE_CHANNEL_COUNT]> = Some(block.temperatures);
             RECEIVED_BLOCK.borrow(cs).replace(Some(Block {
@@ -416,7 +416,7 @@ impl Idle {
     fn end_batch(&mut self) {
         let records = cortex_m::interrupt::free(|cs| CAN_TX_QUEUE.borrow(cs).take());
         let time = TimestampMs(NOW_MS.load(Ordering::Relaxed));
-        let restart = RESTART_REQUESTED.load(Ordering::Relaxed);
+        let restart = IS_RESTART_REQUESTED.load(Ordering::Relaxed);
         let end =
             if restart { BoardRecord::Restart { time } } else { BoardRecord::EndOfBatch { time } };
         let mut bytes: Vec<u8, 4096> = Vec::new();

@@ -11,13 +11,13 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
-    act_one::{MeasuredRunInput, run_measured_run_demo},
-    act_two::run_hidden_fault_demo,
-    boards::BoardSource,
-    page,
+    hidden_fault_demo::run_hidden_fault_demo,
+    html_report,
+    measured_run_demo::{MeasuredRunInput, run_measured_run_demo},
+    stepped_board::BoardSource,
     summary::DemoSummary,
 };
-use trueup_emulator::{firmware, setup};
+use trueup_emulator::{firmware_images, setup};
 use trueup_machine::{MachineFile, RunFile};
 
 use crate::random_seed;
@@ -40,7 +40,7 @@ pub(crate) struct DemoArgs {
 
 /// Runs the demonstration, and writes its page and figures.
 pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
-    let image = firmware::build_virtual_board_image()?;
+    let image = firmware_images::build_virtual_board_image()?;
     let started = Instant::now();
     let root = setup::project_root();
     let or = |path: &Option<PathBuf>, own: &str| path.clone().unwrap_or_else(|| root.join(own));
@@ -81,10 +81,10 @@ pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
     let summary = DemoSummary::new(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
     fs::create_dir_all(&folder)?;
     if let Some(two) = &two {
-        fs::write(folder.join("act-two.svg"), page::hidden_fault_svg(two))?;
+        fs::write(folder.join("act-two.svg"), html_report::hidden_fault_svg(two))?;
     }
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
-    fs::write(folder.join("report.html"), page::render_page(&one, two.as_ref()))?;
+    fs::write(folder.join("report.html"), html_report::render_page(&one, two.as_ref()))?;
     fs::write(folder.join("extended.toml"), &one.extended)?;
     let shown_at = folder.strip_prefix(&root).unwrap_or(&folder);
     trueup_output::write_line_best_effort(format_args!(

@@ -18,14 +18,14 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_checks::{
-    api_docs, book, bounds, campaign, debian, release, structure,
-    verify::{self, Tier},
+    api_docs, book, campaign, debian_package, release, structure, timing_bounds,
+    verify::{self, TestTier},
 };
-use trueup_demo::{boards::BoardSource, campaign::CampaignStatistics};
+use trueup_demo::{campaign::CampaignStatistics, stepped_board::BoardSource};
 use trueup_emulator::{
     benchmark, chip,
-    firmware::{self, Board},
-    images, linuxcnc, setup, size, slots,
+    firmware_images::{self, Board},
+    linuxcnc, memory_usage, release_images, setup, slot_images,
 };
 use trueup_machine::{InputFileError, MachineFile};
 
@@ -268,22 +268,22 @@ fn main() -> ExitCode {
         Command::Hidden { seeds, first, tools, board } => {
             run_hidden_fault_campaign(seeds, first, tools, board)
         }
-        Command::Verify(VerifyArgs { all: true, .. }) => verify::run(Tier::All),
-        Command::Verify(VerifyArgs { long: true, .. }) => verify::run(Tier::Long),
-        Command::Verify(_) => verify::run(Tier::Quick),
-        Command::Virtual(options) => run_virtual(options),
+        Command::Verify(VerifyArgs { all: true, .. }) => verify::run(TestTier::All),
+        Command::Verify(VerifyArgs { long: true, .. }) => verify::run(TestTier::Long),
+        Command::Verify(_) => verify::run(TestTier::Quick),
+        Command::Virtual(options) => run_virtual_bridge(options),
         Command::Chip(ChipArgs { options }) => run_chip_model(options),
-        Command::LinuxCnc(options) => run_linuxcnc(options),
-        Command::Size => size::build_size_report()
+        Command::LinuxCnc(options) => run_linuxcnc_command(options),
+        Command::Size => memory_usage::build_size_report()
             .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
         Command::Bounds { path, clock, largest } => match path {
-            Some(task) => bounds::format_longest_path(&task, clock, largest),
-            None => bounds::format_timing_report(),
+            Some(task) => timing_bounds::build_longest_path_report(&task, clock, largest),
+            None => timing_bounds::build_timing_report(),
         }
         .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
-        Command::Images => images::build_bundled_images()
+        Command::Images => release_images::build_bundled_images()
             .map(|folder| trueup_output::write_line_best_effort(folder.display())),
-        Command::Firmware => images::build_flashable_files().map(|built| {
+        Command::Firmware => release_images::build_flashable_files().map(|built| {
             trueup_output::write_line_best_effort(built.image.display());
             trueup_output::write_line_best_effort(built.update.display());
         }),
@@ -306,7 +306,7 @@ fn main() -> ExitCode {
             .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
         Command::Deb { is_tried } => build_deb(is_tried),
         Command::Release { once: true, .. } => release::build_release_files(),
-        Command::Release { key, .. } => make_release(key.as_deref()),
+        Command::Release { key, .. } => create_release(key.as_deref()),
         Command::Book => {
             book::render_book().map(|page| trueup_output::write_line_best_effort(page.display()))
         }
@@ -325,15 +325,15 @@ fn main() -> ExitCode {
 }
 
 fn build_deb(is_tried: bool) -> Result<()> {
-    let package = debian::build_host_package()?;
+    let package = debian_package::build_host_package()?;
     if is_tried {
-        debian::test_install(&package)?;
+        debian_package::test_install(&package)?;
     }
     trueup_output::write_line_best_effort(package.display());
     Ok(())
 }
 
-fn make_release(key: Option<&Path>) -> Result<()> {
+fn create_release(key: Option<&Path>) -> Result<()> {
     let made = release::create_release(key)?;
     for file in &made.files {
         trueup_output::write_line_best_effort(made.folder.join(file).display());
@@ -345,16 +345,20 @@ fn make_release(key: Option<&Path>) -> Result<()> {
 }
 
 fn run_chip_model(mut options: Vec<String>) -> Result<()> {
-    let Some(model) = chip::build()? else {
+    let Some(model) = chip::build_model()? else {
         let (major, minor) = chip::MIN_COMPILER_VERSION;
         bail!("the model of the chip needs Rust {major}.{minor} or newer");
     };
     // Without a machine file of the user's, one that is named: the example's constants give no offset.
     let image = match std::env::var_os("TRUEUP_MACHINE") {
-        Some(_) => firmware::build(Board::Stm32f405)?,
+        Some(_) => firmware_images::build(Board::Stm32f405)?,
         None => {
             let machine = setup::project_root().join("data/paper_spindle.toml");
-            slots::build_flashable_files_for_machine(&machine, slots::firmware_version()?)?.image
+            slot_images::build_flashable_files_for_machine(
+                &machine,
+                slot_images::firmware_version()?,
+            )?
+            .image
         }
     };
     let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
@@ -372,17 +376,19 @@ fn run_chip_model(mut options: Vec<String>) -> Result<()> {
 }
 
 fn print_random_names(count: usize, seed: u64) -> Result<()> {
-    let (names, of) = structure::names::draw_names(&setup::project_root(), count, seed)?;
+    let (names, of) = structure::declared_names::draw_names(&setup::project_root(), count, seed)?;
     trueup_output::write_line_best_effort(format_args!("{count} of {of} names, --seed {seed}"));
-    for structure::names::DeclaredName { kind, name, place, .. } in names {
+    for structure::declared_names::DeclaredName { kind, name, place, .. } in names {
         trueup_output::write_line_best_effort(format_args!("{kind:<7} {name:<40} {place}"));
     }
     Ok(())
 }
 
-fn run_linuxcnc(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Result<()> {
+fn run_linuxcnc_command(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Result<()> {
     match command {
-        None => linuxcnc::run_and_write_report(linuxcnc::CompensationRoute { on, by }).map(drop),
+        None => {
+            linuxcnc::run_loop_and_write_report(linuxcnc::CompensationRoute { on, by }).map(drop)
+        }
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
             campaign::run_linuxcnc_event_campaign(
                 cycles,
@@ -392,7 +398,9 @@ fn run_linuxcnc(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Result<()> {
             )
         }
         Some(LinuxCncCommand::Circle) => campaign::run_linuxcnc_circular_test(),
-        Some(LinuxCncCommand::Repeat { runs }) => linuxcnc::repeatability::print_reductions(runs),
+        Some(LinuxCncCommand::Repeat { runs }) => {
+            linuxcnc::repeatability::run_repeatability_test(runs)
+        }
     }
 }
 
@@ -403,7 +411,7 @@ fn random_seed() -> u64 {
 
 fn run_hidden_fault_campaign(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
     let boards = match on_board {
-        true => BoardSource::Emulated(firmware::build_virtual_board_image()?),
+        true => BoardSource::Emulated(firmware_images::build_virtual_board_image()?),
         false => BoardSource::InProcess,
     };
     type TestCaseSampler = fn(u64) -> Result<SeparableFaultMachine>;
@@ -426,11 +434,16 @@ fn run_hidden_fault_campaign(seeds: u64, first: u64, tools: u64, on_board: bool)
     Ok(())
 }
 
-fn run_virtual(args: VirtualArgs) -> Result<()> {
+fn run_virtual_bridge(args: VirtualArgs) -> Result<()> {
     let shipped = || setup::project_root().join("data/paper_spindle.toml");
     let machine = MachineFile::read(&args.machine.unwrap_or_else(shipped))?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    trueup_virtual_bridge::run(&machine, &args.options, firmware::build_virtual_board_image, stop)
+    trueup_virtual_bridge::run(
+        &machine,
+        &args.options,
+        firmware_images::build_virtual_board_image,
+        stop,
+    )
 }

@@ -3,22 +3,22 @@
 use std::path::PathBuf;
 
 use trueup_boot::flash_layout::Slot;
-use trueup_emulator::{setup, slots};
+use trueup_emulator::{setup, slot_images};
 
 use crate::board::{Board, GOOD, boot, file, has, version};
 
 /// Returns the image of the application, linked for a slot.
 pub fn linked(slot: Slot) -> PathBuf {
     let machine = setup::project_root().join("data/paper_spindle.toml");
-    slots::build_application(slot, &machine).expect("it builds")
+    slot_images::build_application(slot, &machine).expect("it builds")
 }
 
 /// Returns the file of the application for a slot.
 pub fn application(slot: Slot, minor: u8) -> Vec<u8> {
-    let body = slots::image_body(&linked(slot), slot).expect("a body");
+    let body = slot_images::image_body(&linked(slot), slot).expect("a body");
     println!("the application for slot {} has {} bytes", slot.name(), body.len());
-    let key = slots::development_key().expect("the developers' key");
-    slots::sign_update(&body, slot, version(minor), version(0), &key)
+    let key = slot_images::development_key().expect("the developers' key");
+    slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 
 /// Lives for a while with the application in this slot; panics unless it is a whole board.

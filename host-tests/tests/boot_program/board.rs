@@ -9,11 +9,11 @@ use std::{
 use tempfile::TempDir;
 use trueup_boot::{
     flash_layout::{SLOT_SIZE, Slot},
-    header::Version,
+    image_header::FirmwareVersion,
 };
 use trueup_emulator::{
-    chip::{self, RunReport},
-    slots,
+    chip::{self, ModelRunReport},
+    slot_images,
 };
 use trueup_signature::PrivateKey;
 
@@ -44,10 +44,10 @@ fn parts() -> Option<&'static Parts> {
     static PARTS: OnceLock<Option<Parts>> = OnceLock::new();
     PARTS
         .get_or_init(|| {
-            let model = chip::build().expect("the model builds")?;
-            let boot = slots::build_boot_program().expect("the boot program builds");
+            let model = chip::build_model().expect("the model builds")?;
+            let boot = slot_images::build_boot_program().expect("the boot program builds");
             let images =
-                Slot::ALL.map(|slot| slots::build_slot_test_image(slot).expect("it builds"));
+                Slot::ALL.map(|slot| slot_images::build_slot_test_image(slot).expect("it builds"));
             Some(Parts { model, boot, images })
         })
         .as_ref()
@@ -59,8 +59,8 @@ pub fn boot() -> Option<&'static PathBuf> {
 }
 
 /// Returns a version of this minor number.
-pub fn version(minor: u8) -> Version {
-    Version::new(0, minor, 0, 0)
+pub fn version(minor: u8) -> FirmwareVersion {
+    FirmwareVersion::new(0, minor, 0, 0)
 }
 
 /// Returns the bytes of a small image for a slot.
@@ -71,31 +71,37 @@ pub fn body(slot: Slot, behaviour: u8) -> Vec<u8> {
 /// Returns the same of an image that was built apart.
 pub fn body_of(image: &Path, slot: Slot, behaviour: u8) -> Vec<u8> {
     let name = slot.name().as_bytes()[0];
-    slots::slot_test_body(image, slot, behaviour, name).expect("a body")
+    slot_images::slot_test_body(image, slot, behaviour, name).expect("a body")
 }
 
 /// Returns a file for a slot, signed with the developers' key.
 pub fn file(slot: Slot, minor: u8, floor: u8, behaviour: u8) -> Vec<u8> {
-    let key = slots::development_key().expect("the developers' key");
-    slots::sign_update(&body(slot, behaviour), slot, version(minor), version(floor), &key)
+    let key = slot_images::development_key().expect("the developers' key");
+    slot_images::build_signed_update(
+        &body(slot, behaviour),
+        slot,
+        version(minor),
+        version(floor),
+        &key,
+    )
 }
 
 /// Returns the same of that many bytes, the largest image among them.
 pub fn file_of(length: usize, slot: Slot, minor: u8) -> Vec<u8> {
     let mut body = body(slot, GOOD);
     let mut random = 1_u32;
-    body.resize_with(length - trueup_boot::header::HEADER_SIZE, || {
+    body.resize_with(length - trueup_boot::image_header::HEADER_SIZE, || {
         random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (random >> 24) as u8
     });
-    let key = slots::development_key().expect("the developers' key");
-    slots::sign_update(&body, slot, version(minor), version(0), &key)
+    let key = slot_images::development_key().expect("the developers' key");
+    slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 
 /// Returns a file that a stranger has signed.
 pub fn foreign(slot: Slot, minor: u8) -> Vec<u8> {
     let key = PrivateKey::generate().expect("a system with random numbers");
-    slots::sign_update(&body(slot, GOOD), slot, version(minor), version(0), &key)
+    slot_images::build_signed_update(&body(slot, GOOD), slot, version(minor), version(0), &key)
 }
 
 /// A board with what is in its flash.
@@ -158,7 +164,7 @@ impl Board {
     }
 
     /// Runs for this time from power-on; returns the model's report.
-    pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> RunReport {
+    pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> ModelRunReport {
         let model = &parts().expect("it is there").model;
         let script_file = self.folder.path().join("script");
         fs::write(&script_file, script).expect("a folder of the test");

@@ -4,8 +4,8 @@
 use std::{fs, path::Path, thread};
 
 use object::{Object as _, ObjectSymbol as _};
-use trueup_boot::{flash_layout::Slot, header::HEADER_SIZE};
-use trueup_emulator::slots;
+use trueup_boot::{flash_layout::Slot, image_header::HEADER_SIZE};
+use trueup_emulator::slot_images;
 
 use crate::{
     application::{application, linked},
@@ -35,11 +35,11 @@ fn address_of(image: &Path, parts: &[&str]) -> u32 {
 /// Returns the file of an application that hangs at the beginning of that function.
 fn hanging(slot: Slot, minor: u8, parts: &[&str]) -> Vec<u8> {
     let image = linked(slot);
-    let mut body = slots::image_body(&image, slot).expect("a body");
+    let mut body = slot_images::image_body(&image, slot).expect("a body");
     let at = (address_of(&image, parts) - slot.start()) as usize - HEADER_SIZE;
     body[at..at + TO_ITSELF.len()].copy_from_slice(&TO_ITSELF);
-    let key = slots::development_key().expect("the developers' key");
-    slots::sign_update(&body, slot, version(minor), version(0), &key)
+    let key = slot_images::development_key().expect("the developers' key");
+    slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use std::{fs, path::PathBuf, sync::OnceLock, thread};
 
 use trueup_boot::flash_layout::Slot;
-use trueup_emulator::slots;
+use trueup_emulator::slot_images;
 use trueup_signature::PrivateKey;
 
 use crate::board::{
@@ -38,9 +38,11 @@ impl New {
             let path = folder.path().join("maker.pub.pem");
             fs::write(&path, key.public_key().to_pem().expect("a key"))
                 .expect("a folder of the test");
-            let boot = slots::build_boot_program_with_key(&path).expect("the boot program builds");
-            let images = Slot::ALL
-                .map(|slot| slots::build_slot_test_image_with_key(slot, &path).expect("it builds"));
+            let boot =
+                slot_images::build_boot_program_with_key(&path).expect("the boot program builds");
+            let images = Slot::ALL.map(|slot| {
+                slot_images::build_slot_test_image_with_key(slot, &path).expect("it builds")
+            });
             Self { key, boot, images }
         })
     }
@@ -48,7 +50,7 @@ impl New {
     /// Returns the file of a small image that takes updates of the new key, signed with this one.
     fn file(&self, slot: Slot, minor: u8, behaviour: u8, signed_with: &PrivateKey) -> Vec<u8> {
         let body = body_of(&self.images[usize::from(slot.number())], slot, behaviour);
-        slots::sign_update(&body, slot, version(minor), version(0), signed_with)
+        slot_images::build_signed_update(&body, slot, version(minor), version(0), signed_with)
     }
 
     /// Returns a board with the new boot program and an image of the new key, which loads what is offered, in slot A.
@@ -63,7 +65,7 @@ impl New {
 fn after_a_key_change_with_a_dead_pll_only_images_of_the_new_key_start() {
     let Some(_) = boot() else { return };
     let new = New::get();
-    let old_key = &slots::development_key().expect("the developers' key");
+    let old_key = &slot_images::development_key().expect("the developers' key");
     let b = |signed_with| new.file(Slot::B, 2, CONFIRMS, signed_with);
     thread::scope(|scope| {
         scope.spawn(move || {
@@ -105,7 +107,7 @@ fn a_power_cut_in_an_update_after_a_key_change_with_a_dead_pll_leaves_a_signed_i
 {
     let Some(_) = boot() else { return };
     let new = New::get();
-    let old_key = &slots::development_key().expect("the developers' key");
+    let old_key = &slot_images::development_key().expect("the developers' key");
     thread::scope(|scope| {
         for signed_with in [&new.key, old_key] {
             for cut in ["0 cut 40\n", "0 cut 3000\n", "900 reset power\n"] {

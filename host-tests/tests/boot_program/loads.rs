@@ -1,10 +1,12 @@
 //! The application is given a new image frame by frame over CAN: a stranger's, which it refuses, and its maker's.
 //! `chip_clients update` has the serial line.
 
-use trueup_boot::{flash_layout::Slot, header::HEADER_SIZE, refusal::RefusalReason};
+use trueup_boot::{
+    flash_layout::Slot, image_header::HEADER_SIZE, refusal_reason::FirmwareRejectReason,
+};
 use trueup_canopen::sdo::{
     SEGMENTS_PER_BLOCK,
-    client::{BlockDownload, Progress},
+    client::{BlockDownload, TransferProgress},
 };
 use trueup_link::frame::Frame;
 
@@ -53,7 +55,7 @@ fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
         at += BLOCK_MS;
         let received =
             transfer.receive(&Frame::from_data(0x581, answer)).expect("an answer of this transfer");
-        let Progress::Ask(first) = received else { return (script, at) };
+        let TransferProgress::Request(first) = received else { return (script, at) };
         let (mut count, mut next) = (0, Some(first));
         while let Some(frame) = next {
             send(&frame, at);
@@ -92,7 +94,7 @@ fn the_application_refuses_an_image_of_a_stranger_and_goes_on() {
         format!("{frames}{}{} reset pin\n", questions(&[REFUSED, RECEIVED], ask), ask + 50.0);
     let report = board.report((ask + 800.0) as u32, &script, &[]);
     let answers = [REFUSED, RECEIVED].map(|at| answer(&report.events, at));
-    let refusal = RefusalReason::Signature.number().into();
+    let refusal = FirmwareRejectReason::Signature.number().into();
     assert_eq!(answers, [Some(refusal), Some(0)], "{}", report.stdout);
     let offsets = report.events.iter().filter(|event| event.contains(" can 281 ")).count();
     assert!(offsets > 1_000, "it sends on, after the reset as well: {offsets}");

@@ -4,7 +4,7 @@ use std::thread;
 
 use trueup_boot::{
     boot_state::{BootState, ImageStatus},
-    flash_layout::{FLASH_START, HANDOVER_START, RECORDS_SECTOR_SIZE, RECORDS_START, Slot},
+    flash_layout::{FLASH_START, HANDOVER_START, JOURNAL_SECTOR_SIZE, JOURNAL_START, Slot},
     handover::StartInfo,
     journal::Journal,
     start::StartReason,
@@ -28,7 +28,7 @@ const FLIPS_MS: u32 = 60;
 /// Returns the records that hold a status of the image of this file.
 fn records(slot: Slot, file: &[u8], status: ImageStatus) -> Vec<u8> {
     let tag = u32::from_le_bytes(file[508..512].try_into().expect("a header"));
-    let flash = StrictFlash::<{ RECORDS_SECTOR_SIZE as usize }>::erased();
+    let flash = StrictFlash::<{ JOURNAL_SECTOR_SIZE as usize }>::erased();
     let mut journal = Journal::open(flash);
     journal.commit(BootState::default().with_status(slot, tag, status)).expect("room");
     journal.into_flash().bytes
@@ -37,7 +37,7 @@ fn records(slot: Slot, file: &[u8], status: ImageStatus) -> Vec<u8> {
 /// Returns a board with these slots and the application in slot A of this status.
 fn board(a: &[u8], b: &[u8], status: ImageStatus) -> Board {
     let board = Board::with(a, b).expect("it is there");
-    let start = (RECORDS_START - FLASH_START) as usize;
+    let start = (JOURNAL_START - FLASH_START) as usize;
     let records = records(Slot::A, a, status);
     board.change(|flash| flash[start..start + records.len()].copy_from_slice(&records));
     board
@@ -58,13 +58,13 @@ fn each_reason_of_the_boot_program_is_reported_by_the_application() {
     use ImageStatus::{Confirmed, New, Rejected};
     let app = application(Slot::A, 2);
     let cases = [
-        (vec![], New, "", StartReason::Alone, None),
+        (vec![], New, "", StartReason::OnlyImage, None),
         (vec![], Confirmed, "", StartReason::Newest, None),
         (vec![], Rejected, "", StartReason::LastResort, None),
         (file(Slot::B, 1, 0, GOOD), New, "", StartReason::Trial(1), Some(New)),
         (file(Slot::B, 1, 0, GOOD), New, "pin", StartReason::Trial(2), Some(New)),
-        (foreign(Slot::B, 3), Confirmed, "", StartReason::WentBack, Some(New)),
-        (file(Slot::B, 3, 0, RESETS), Confirmed, "", StartReason::WentBack, Some(Rejected)),
+        (foreign(Slot::B, 3), Confirmed, "", StartReason::RolledBack, Some(New)),
+        (file(Slot::B, 3, 0, RESETS), Confirmed, "", StartReason::RolledBack, Some(Rejected)),
     ];
     thread::scope(|scope| {
         for (b, status, reset, reason, other) in cases {

@@ -4,7 +4,7 @@ use std::{fs, thread};
 
 use object::{Object as _, ObjectSymbol as _};
 use trueup_boot::flash_layout::{SLOT_SIZE, Slot};
-use trueup_emulator::binary;
+use trueup_emulator::flash_image;
 
 use crate::board::{
     ANSWER_MS, Board, GOOD, HANGS, RESETS, SPEAKS_AND_HANGS, boot, file, file_of, first, foreign,
@@ -33,7 +33,7 @@ fn a_start_is_at_most_150_ms_longer_with_the_largest_image() {
 #[test]
 fn the_boot_program_fits_its_sectors_and_no_panic_can_be_reached() {
     let Some(boot) = boot() else { return };
-    let bytes = binary::read_flash_image(boot).expect("an image").len();
+    let bytes = flash_image::read_flash_image(boot).expect("an image").len();
     println!("the boot program has {bytes} bytes");
     assert!(bytes <= 32 * 1024);
     // The linker leaves out what nothing refers to, so no call through a register hides one.

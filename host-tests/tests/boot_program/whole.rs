@@ -1,7 +1,7 @@
 //! One whole image, boot program and slot A, as it is flashed into an empty board; and the update behind it.
 
-use trueup_boot::{flash_layout::Slot, header::Version};
-use trueup_emulator::{binary, chip, setup, slots};
+use trueup_boot::{flash_layout::Slot, image_header::FirmwareVersion};
+use trueup_emulator::{chip, flash_image, setup, slot_images};
 
 use crate::board::boot;
 
@@ -13,9 +13,10 @@ const SLOT_A: usize = 0x1_0000;
 fn one_whole_image_starts_on_an_empty_board_and_has_its_update_in_slot_a() {
     let Some(_) = boot() else { return };
     let machine = setup::project_root().join("data/paper_spindle.toml");
-    let version = Version::new(0, 9, 1, 0);
-    let whole = slots::build_flashable_files_for_machine(&machine, version).expect("it builds");
-    let flash = binary::read_flash_image(&whole.image).expect("an image");
+    let version = FirmwareVersion::new(0, 9, 1, 0);
+    let whole =
+        slot_images::build_flashable_files_for_machine(&machine, version).expect("it builds");
+    let flash = flash_image::read_flash_image(&whole.image).expect("an image");
     let update = std::fs::read(&whole.update).expect("it was written");
     let length = flash.len().next_multiple_of(4) - SLOT_A;
     println!("{} bytes, {} in slot A, update of {}", flash.len(), length, update.len());
@@ -28,7 +29,7 @@ fn one_whole_image_starts_on_an_empty_board_and_has_its_update_in_slot_a() {
     assert_eq!(&second[64..72], b"TRUEUPFW", "the second file follows");
     assert_eq!(second[76], Slot::B.number(), "for slot B");
 
-    let model = chip::build().expect("the model builds").expect("it was there");
+    let model = chip::build_model().expect("the model builds").expect("it was there");
     let folder = tempfile::tempdir().expect("a folder");
     let script = folder.path().join("script");
     std::fs::write(&script, "500 flags 3\n").expect("a folder of the test");

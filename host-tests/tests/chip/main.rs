@@ -13,23 +13,26 @@ use std::{path::PathBuf, sync::OnceLock};
 
 use trueup_canopen::emergency::Fault;
 use trueup_emulator::{
-    chip::{self, RunReport},
-    firmware, setup,
+    chip::{self, ModelRunReport},
+    firmware_images, setup,
 };
 /// Returns the model and the image; `None`: this compiler is too old for the model.
 fn parts() -> Option<&'static (PathBuf, PathBuf)> {
     static PARTS: OnceLock<Option<(PathBuf, PathBuf)>> = OnceLock::new();
     PARTS
         .get_or_init(|| {
-            let model = chip::build().expect("the model builds")?;
+            let model = chip::build_model().expect("the model builds")?;
             let machine = setup::project_root().join("data/paper_spindle.toml");
-            Some((model, firmware::build_image_for_machine(&machine).expect("the image builds")))
+            Some((
+                model,
+                firmware_images::build_image_for_machine(&machine).expect("the image builds"),
+            ))
         })
         .as_ref()
 }
 
 /// Runs the image with these options; `None` where the model cannot be built.
-fn run(options: &[&str]) -> Option<RunReport> {
+fn run(options: &[&str]) -> Option<ModelRunReport> {
     let Some((model, image)) = parts() else {
         println!("skipped: the model of the chip needs a newer compiler");
         return None;
@@ -38,7 +41,7 @@ fn run(options: &[&str]) -> Option<RunReport> {
 }
 
 /// Returns the first line in which these parts follow each other.
-fn line<'r>(report: &'r RunReport, parts: &[&str]) -> Option<&'r str> {
+fn line<'r>(report: &'r ModelRunReport, parts: &[&str]) -> Option<&'r str> {
     report.stdout.lines().find(|line| {
         let mut rest = *line;
         parts.iter().all(|part| match rest.find(part) {
@@ -52,13 +55,13 @@ fn line<'r>(report: &'r RunReport, parts: &[&str]) -> Option<&'r str> {
 }
 
 /// Panics unless some line has these parts, in this order.
-fn assert_reported(report: &RunReport, parts: &[&str]) {
+fn assert_reported(report: &ModelRunReport, parts: &[&str]) {
     assert!(line(report, parts).is_some(), "nothing like {parts:?} in\n{}", report.stdout);
 }
 
 /// Panics unless both offsets came once a millisecond, none damaged and none missing. The first and the last
 /// may each have waited for two frames of the CNC on the bus, 0.26 ms.
-fn sends_every_millisecond(report: &RunReport) {
+fn sends_every_millisecond(report: &ModelRunReport) {
     for id in ["181: ", "281: "] {
         let line = line(report, &[id, "wrong CRC 0, counter jumps 0"]).expect("frames, all whole");
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -70,12 +73,12 @@ fn sends_every_millisecond(report: &RunReport) {
 }
 
 /// Panics unless nothing was done that silicon would not do.
-fn is_clean(report: &RunReport) {
+fn is_clean(report: &ModelRunReport) {
     assert!(report.clean, "a violation:\n{}", report.stdout);
 }
 
 /// Panics unless the log says it.
-fn logs(report: &RunReport, text: &str) {
+fn logs(report: &ModelRunReport, text: &str) {
     let is_logged = report.log.iter().any(|line| line.contains(text));
     assert!(is_logged, "the log does not say {text:?}:\n{}", report.log.join("\n"));
 }
@@ -155,13 +158,13 @@ fn a_canopen_master_reads_the_device_type_and_the_boards_own_serial_number() {
 
 /// Runs the image with a client that opens the channel as soon as the board receives: it is up after some 90 ms,
 /// and looks at its lines 10 ms later.
-fn run_recorded_from_the_start(options: &[&str]) -> Option<RunReport> {
+fn run_recorded_from_the_start(options: &[&str]) -> Option<ModelRunReport> {
     let opens = ["88", "90", "92", "94", "96", "98", "100"].map(|at| ["--say", at, "S8\\rO\\r"]);
     run(&[&["--bor"], opens.as_flattened(), options].concat())
 }
 
 /// Returns the faults that were reported as emergencies on the serial line, by their places in the list of faults.
-fn emergencies(report: &RunReport) -> Vec<u8> {
+fn emergencies(report: &ModelRunReport) -> Vec<u8> {
     let of = |event: &String| {
         let data = event.split(" serial t0818").nth(1)?;
         let code = u16::from_str_radix(&format!("{}{}", &data[2..4], &data[..2]), 16).ok()?;
@@ -211,7 +214,7 @@ fn an_error_of_the_flash_does_not_hold_up_the_next_zero() {
 }
 
 /// Runs the image in a world by script.
-fn run_script(script: &str, options: &[&str]) -> Option<RunReport> {
+fn run_script(script: &str, options: &[&str]) -> Option<ModelRunReport> {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script");
     std::fs::write(&file, script).expect("it is written");
@@ -220,7 +223,7 @@ fn run_script(script: &str, options: &[&str]) -> Option<RunReport> {
 }
 
 /// Returns the number before a word, on the first line that has it.
-fn number(report: &RunReport, word: &str) -> f64 {
+fn number(report: &ModelRunReport, word: &str) -> f64 {
     let line = line(report, &[word]).unwrap_or_else(|| panic!("no {word:?} in\n{}", report.stdout));
     let before = line.split(word).next().unwrap_or_default();
     let last = before.split_whitespace().last().unwrap_or_default();
@@ -297,7 +300,7 @@ fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
 }
 
 /// Returns the offsets in Z on the bus from that time on: time in ms, µm.
-fn offsets_z(report: &RunReport, from_ms: f64) -> Vec<(f64, f64)> {
+fn offsets_z(report: &ModelRunReport, from_ms: f64) -> Vec<(f64, f64)> {
     let of = |event: &String| {
         let (time, data) = event.split_once(" can 281 ")?;
         let time: f64 = time.parse().ok()?;
@@ -357,7 +360,7 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     let runs = [plain.clone(), plain.replace("[inputs]\n", input)].map(|text| {
         let file = folder.path().join("machine.toml");
         std::fs::write(&file, text).expect("it is written");
-        let image = firmware::build_image_for_machine(&file).expect("the image builds");
+        let image = firmware_images::build_image_for_machine(&file).expect("the image builds");
         let options = ["--bor", "--ms", "1500", "--code", "1700", "--input", "4", "1.3"];
         let report = chip::run(model, &image, &options).expect("the model runs");
         is_clean(&report);
@@ -369,7 +372,7 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     assert_reported(with, &["3: 35.3"]);
     assert_reported(with, &["ADC2: channel 4"]);
     assert_eq!(offsets_z(with, 100.0).len(), offsets_z(without, 100.0).len());
-    let values = |report: &RunReport| -> Vec<f64> {
+    let values = |report: &ModelRunReport| -> Vec<f64> {
         offsets_z(report, 100.0).into_iter().map(|(_, offset)| offset).collect()
     };
     assert_eq!(values(with), values(without), "the same codes give the same offsets");

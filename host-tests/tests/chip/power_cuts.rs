@@ -3,7 +3,7 @@
 
 use std::{sync::OnceLock, thread};
 
-use trueup_emulator::chip::RunReport;
+use trueup_emulator::chip::ModelRunReport;
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
@@ -53,7 +53,7 @@ fn chip() -> Option<&'static Chip> {
 }
 
 /// Warm through until the power goes for so long, `faults` and all; then its front has cooled.
-fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<RunReport> {
+fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<ModelRunReport> {
     let script = format!(
         "0 rtd 0 {WARM_C}\n0 rtd 1 {WARM_C}\n0 flags 2\n300 flags 3\n{CUT_MS} flags 2\n{CUT_MS} rtd 0 {COOL_C}\n\
          {faults}\n{CUT_MS} reset power {off_s}\n{} flags 3\n",
@@ -67,7 +67,7 @@ fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<RunReport> {
 }
 
 /// Z at the end, µm, and its quality.
-fn end(report: &RunReport) -> (f64, u8) {
+fn end(report: &ModelRunReport) -> (f64, u8) {
     let line = crate::line(report, &["OffsetZ at", "(last)"]).expect("an offset");
     let quality = line.split("quality ").nth(1).and_then(|rest| rest.split(',').next());
     let quality = quality.and_then(|text| text.trim().parse().ok()).expect("a quality");
@@ -75,7 +75,7 @@ fn end(report: &RunReport) -> (f64, u8) {
 }
 
 /// Returns whether the board reported last that its heat is not known.
-fn is_heat_unknown(report: &RunReport) -> bool {
+fn is_heat_unknown(report: &ModelRunReport) -> bool {
     let mut states = report.events.iter().filter_map(|event| {
         let data = event.split(" can 381 ").nth(1)?;
         let bytes: [u8; 8] =

@@ -6,9 +6,9 @@
 use std::{sync::OnceLock, thread};
 
 use trueup_bounds::report::TimingBounds;
-use trueup_checks::bounds;
+use trueup_checks::timing_bounds;
 use trueup_emulator::{
-    chip::RunReport,
+    chip::ModelRunReport,
     full_load::{self, CLOCK_SCENARIOS, ClockScenario},
 };
 
@@ -43,13 +43,13 @@ const STARTED: [(&str, &str, f64); 4] = [
 const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 
 /// Returns the number before the unit behind these words, in µs.
-fn behind(report: &RunReport, words: &str) -> Option<f64> {
+fn behind(report: &ModelRunReport, words: &str) -> Option<f64> {
     let (_, rest) = report.stdout.split_once(words)?;
     rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()
 }
 
 /// Offsets on the serial line, and how often one did not follow the other.
-fn offsets(report: &RunReport) -> (usize, usize) {
+fn offsets(report: &ModelRunReport) -> (usize, usize) {
     let counter = |event: &String| {
         let (_, data) = event.split_once(" serial t2818")?;
         Some(u8::from_str_radix(&data[4..6], 16).expect("hex"))
@@ -59,11 +59,11 @@ fn offsets(report: &RunReport) -> (usize, usize) {
 }
 
 /// Panics if a turn was longer than its bound.
-fn is_bounded(clock: &str, report: &RunReport) {
+fn is_bounded(clock: &str, report: &ModelRunReport) {
     static BOUNDS: OnceLock<TimingBounds> = OnceLock::new();
     let (_, image) = parts().expect("the image was run");
     let bounds =
-        BOUNDS.get_or_init(|| bounds::compute_bounds(image).expect("the image is bounded"));
+        BOUNDS.get_or_init(|| timing_bounds::compute_bounds(image).expect("the image is bounded"));
     let seen = full_load::max_handler_times_us(report);
     for bound in bounds.all.iter().filter(|bound| bound.clock == clock) {
         if let Some([own, _]) = seen.get(&bound.exception) {

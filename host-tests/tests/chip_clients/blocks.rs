@@ -10,12 +10,12 @@ use anyhow::{Context as _, Result, ensure};
 use trueup_core::{
     bridge::TickInput,
     cnc::{Control, SpindleState},
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     units::{AdcCode, Rpm},
 };
 use trueup_emulator::{
     board::{MAX_BATCH_BLOCKS, VirtualBoard},
-    firmware,
+    firmware_images,
 };
 use trueup_link::{frame::Frame, frames};
 use trueup_machine::{CompiledCalibration, MachineFile, compile};
@@ -100,7 +100,7 @@ fn on_the_host(compiled: &CompiledCalibration, blocks: &[Block]) -> Vec<i32> {
 }
 
 fn on_the_virtual_board(compiled: &CompiledCalibration, blocks: &[Block]) -> Result<Vec<i32>> {
-    let image = firmware::build_virtual_board_image()?;
+    let image = firmware_images::build_virtual_board_image()?;
     let mut board = VirtualBoard::boot(&image, compiled.blob())?;
     let mut sent = Vec::new();
     for batch in blocks.chunks(MAX_BATCH_BLOCKS as usize) {

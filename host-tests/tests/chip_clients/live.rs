@@ -11,7 +11,7 @@ use trueup_emulator::lockstep_chip::LockstepChip;
 use trueup_link::{
     layout::STATUS_ID,
     receiver::{OffsetReceiver, StatusReceiver},
-    slcan::{Client, Event},
+    slcan::{AdapterMessage, SlcanClient},
     status::StatusItem,
 };
 
@@ -22,7 +22,7 @@ const SILENCE: Duration = Duration::from_millis(500);
 
 /// Pairs of offsets, and the newest elongation in µm, that have come until nothing comes any more.
 fn first_offset(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
-    let (mut client, mut bytes) = (Client::default(), [0; 4096]);
+    let (mut client, mut bytes) = (SlcanClient::default(), [0; 4096]);
     let (mut offsets, mut status) = (OffsetReceiver::new(), StatusReceiver::default());
     let (mut pairs, mut grown_um) = (0, None);
     loop {
@@ -34,7 +34,7 @@ fn first_offset(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
         };
         ensure!(length > 0, "the line is closed");
         for event in bytes[..length].iter().filter_map(|byte| client.receive(*byte)) {
-            let Event::Frame(frame) = event else { continue };
+            let AdapterMessage::Frame(frame) = event else { continue };
             if frame.id() != STATUS_ID {
                 pairs += u32::from(matches!(offsets.accept(&frame), Ok(Some(_))));
             } else if let StatusItem::Elongation(Some(grown)) = status.accept(&frame)?.item {

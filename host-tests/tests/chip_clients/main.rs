@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{FAST_MACHINE, chip::Chip, trueup};
 use trueup_canopen::EDS;
-use trueup_emulator::{chip::RunningChipModel, seal, setup};
+use trueup_emulator::{chip::RunningChipModel, image_check, setup};
 use trueup_machine::{MachineFile, compile};
 use trueup_store::calibration::calibration_crc;
 
@@ -63,7 +63,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
     let Some(chip) = Chip::that_breaks(FAST_MACHINE)? else { return Ok(()) };
     // Built before a board waits for it.
     trueup()?;
-    let key = seal::symbol_address(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
+    let key = image_check::symbol_address(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
     // What breaks by that number (`src/faults.rs`), and the words that name it.
     let cases: [(u32, &[&str]); 3] = [
         (6, &["last reset   watchdog, in task listen\n", "watchdog 1"]),

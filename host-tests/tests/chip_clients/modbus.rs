@@ -10,8 +10,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use trueup_core::cnc::{Control, OffsetQuality};
-use trueup_emulator::{chip::RunningChipModel, plc, setup};
-use trueup_modbus::input::InputBlock;
+use trueup_emulator::{chip::RunningChipModel, plc_requests, setup};
+use trueup_modbus::input_block::InputBlock;
 
 use super::{
     CODE, GROWN_UM, LONG,
@@ -39,14 +39,14 @@ fn answer_ms(bytes: usize) -> f64 {
 /// Each is whole, and says what the two CAN frames of one cycle say.
 fn polled(until_ms: u32) -> Result<Option<usize>> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(None) };
-    let read = plc::read_request_hex();
+    let read = plc_requests::build_read_request_hex();
     let mut script = "0 control 0\n0 spindle 0\n0 positions 0\n500 slope 200\n".to_string();
     let times = (300..until_ms - 30).step_by(20);
     for (counter, at) in (0..).zip(times.clone()) {
         let control = if counter < 5 { Control::REFERENCED } else { Control::ENGAGED };
         script += &format!(
             "{at} modbus {}\n{} modbus {read}\n",
-            plc::write_request_hex(control, counter),
+            plc_requests::build_write_request_hex(control, counter),
             at + 9
         );
     }

@@ -4,14 +4,14 @@
 use anyhow::{Context as _, Result, ensure};
 use trueup_core::cnc::{Control, OffsetQuality};
 use trueup_emulator::{
-    chip::RunReport,
-    plc::{
-        UNIT_ID, encode_hex, encode_rtu_frame, read_request_hex, read_request_pdu,
-        write_request_hex, write_request_pdu,
+    chip::ModelRunReport,
+    plc_requests::{
+        MODBUS_UNIT_ID, build_read_request_hex, build_read_request_pdu, build_write_request_hex,
+        build_write_request_pdu, encode_hex, encode_rtu_frame,
     },
 };
 use trueup_link::status::StateBits;
-use trueup_modbus::input::InputBlock;
+use trueup_modbus::input_block::InputBlock;
 
 use super::{
     blocks::offset,
@@ -40,8 +40,8 @@ struct RequestFault {
 
 impl RequestFault {
     fn with_exception(name: &'static str, pdu: &[u8], exception: u8) -> Self {
-        let answer = encode_rtu_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
-        Self { answer: Some(answer), ..Self::silent(name, encode_rtu_frame(UNIT_ID, pdu)) }
+        let answer = encode_rtu_frame(MODBUS_UNIT_ID, &[pdu[0] | 0x80, exception]);
+        Self { answer: Some(answer), ..Self::silent(name, encode_rtu_frame(MODBUS_UNIT_ID, pdu)) }
     }
 
     fn silent(name: &'static str, bytes: Vec<u8>) -> Self {
@@ -51,13 +51,13 @@ impl RequestFault {
 
 /// Returns all of them; wherever a block is written it would release the offset, and its counter is the next one.
 fn faults(counter: u16) -> Vec<RequestFault> {
-    let release = write_request_pdu(Control::REFERENCED, counter);
+    let release = build_write_request_pdu(Control::REFERENCED, counter);
     let changed = |place: usize, value: u8| {
         let mut pdu = release.clone();
         pdu[place] = value;
         pdu
     };
-    let whole = encode_rtu_frame(UNIT_ID, &release);
+    let whole = encode_rtu_frame(MODBUS_UNIT_ID, &release);
     let damaged = [&whole[..42], &[whole[42] ^ 1]].concat();
     let mut random = 1_u32;
     let mut noise = |length: usize| -> Vec<u8> {
@@ -120,7 +120,7 @@ impl Master {
         let mut counter = 0;
         for at in times {
             let control = if counter < 5 { Control::REFERENCED } else { Control::ENGAGED };
-            script += &format!("{at} modbus {}\n", write_request_hex(control, counter));
+            script += &format!("{at} modbus {}\n", build_write_request_hex(control, counter));
             counter += 1;
         }
         Self { script, counter }
@@ -128,7 +128,7 @@ impl Master {
 
     fn lives(&mut self, at: u32) {
         self.script +=
-            &format!("{at} modbus {}\n", write_request_hex(Control::ENGAGED, self.counter));
+            &format!("{at} modbus {}\n", build_write_request_hex(Control::ENGAGED, self.counter));
         self.counter += 1;
     }
 }
@@ -137,7 +137,7 @@ impl Master {
 struct Answers(Vec<(f64, Vec<u8>)>);
 
 impl Answers {
-    fn of(report: &RunReport) -> Self {
+    fn of(report: &ModelRunReport) -> Self {
         Self(report.events.iter().filter_map(|event| sent_frame(event, "modbus")).collect())
     }
 
@@ -156,7 +156,7 @@ impl Answers {
 }
 
 /// Offsets in Z on CAN with their quality, in this time.
-fn course(report: &RunReport, from: u32, to: u32) -> Vec<(i32, u8)> {
+fn course(report: &ModelRunReport, from: u32, to: u32) -> Vec<(i32, u8)> {
     let frames = report.events.iter().filter_map(|event| sent_frame(event, "can 281"));
     let within = frames.filter(|(at, _)| (f64::from(from)..f64::from(to)).contains(at));
     let value = |(_, data): (f64, Vec<u8>)| {
@@ -167,7 +167,7 @@ fn course(report: &RunReport, from: u32, to: u32) -> Vec<(i32, u8)> {
 }
 
 /// Live and where it was in all this time.
-fn stands(report: &RunReport, from: u32, to: u32) -> Result<()> {
+fn stands(report: &ModelRunReport, from: u32, to: u32) -> Result<()> {
     let course = course(report, from, to);
     let (first, _) = *course.first().context("offsets on CAN")?;
     ensure!(course.len() > 100 && first.abs() > 1_000, "{} offsets of {first}", course.len());
@@ -183,7 +183,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
 -> Result<()> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
     let mut master = Master::engaging(SETTLED_MS);
-    let written = encode_rtu_frame(UNIT_ID, &[16, 0, 0, 0, 17]);
+    let written = encode_rtu_frame(MODBUS_UNIT_ID, &[16, 0, 0, 0, 17]);
     let mut slots = Vec::new();
     let mut at = SETTLED_MS;
     for number in 0..faults(0).len() {
@@ -204,21 +204,24 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
         at = next;
     }
     // Two that are acknowledged, and not used: its registers are wrong, and its counter stands still.
-    let mut block = write_request_pdu(Control::REFERENCED, master.counter);
+    let mut block = build_write_request_pdu(Control::REFERENCED, master.counter);
     block[7] ^= 4;
-    let not_used = [block, write_request_pdu(Control::REFERENCED, master.counter - 1)];
+    let not_used = [block, build_write_request_pdu(Control::REFERENCED, master.counter - 1)];
     let acknowledged = at;
     for pdu in &not_used {
-        master.script += &format!("{at} modbus {}\n", encode_hex(&encode_rtu_frame(UNIT_ID, pdu)));
+        master.script +=
+            &format!("{at} modbus {}\n", encode_hex(&encode_rtu_frame(MODBUS_UNIT_ID, pdu)));
         at += 10;
     }
     master.lives(at);
     let read_at = at + 10;
-    master.script += &format!("{read_at} modbus {}\n", read_request_hex());
+    master.script += &format!("{read_at} modbus {}\n", build_read_request_hex());
     // And the proof that it would have been seen.
     let released = read_at + 12;
-    master.script +=
-        &format!("{released} modbus {}\n", write_request_hex(Control::REFERENCED, master.counter));
+    master.script += &format!(
+        "{released} modbus {}\n",
+        build_write_request_hex(Control::REFERENCED, master.counter)
+    );
     let report = chip.live(released + 60, &master.script, &FAST)?;
 
     ensure!(report.clean, "a violation:\n{}", report.stdout);
@@ -255,7 +258,7 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
     for at in (SETTLED_MS..end).step_by(20) {
         master.lives(at);
     }
-    master.script += &format!("{} modbus {}\n", end + 1, read_request_hex());
+    master.script += &format!("{} modbus {}\n", end + 1, build_read_request_hex());
     let report = chip.live(end + 20, &master.script, &FAST)?;
     ensure!(report.clean, "a violation:\n{}", report.stdout);
     let is_reported =
@@ -266,18 +269,19 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
 
     // A PLC that does, next to a CNC; then the CNC falls silent.
     let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
-    let busy = encode_rtu_frame(UNIT_ID, &[0x90, 6]);
+    let busy = encode_rtu_frame(MODBUS_UNIT_ID, &[0x90, 6]);
     let requested: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
     for (counter, at) in (0..).zip(&requested) {
-        script += &format!("{at} modbus {}\n", write_request_hex(Control::REFERENCED, counter));
+        script +=
+            &format!("{at} modbus {}\n", build_write_request_hex(Control::REFERENCED, counter));
     }
     let (silent, free) = (end + 20, end + 560);
     script += &format!(
         "{} modbus {}\n{silent} control 0\n",
         end + 1,
-        encode_hex(&encode_rtu_frame(UNIT_ID, &read_request_pdu()))
+        encode_hex(&encode_rtu_frame(MODBUS_UNIT_ID, &build_read_request_pdu()))
     );
-    script += &format!("{free} modbus {}\n", write_request_hex(Control::REFERENCED, 900));
+    script += &format!("{free} modbus {}\n", build_write_request_hex(Control::REFERENCED, 900));
     let report = chip.live(free + 20, &script, &FAST)?;
     ensure!(report.clean, "a violation:\n{}", report.stdout);
     let answers = Answers::of(&report);
@@ -287,6 +291,9 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
     ensure!(is_reported(&answers.input(end, silent)?), "it is reported");
     stands(&report, SETTLED_MS, silent)?;
     let admitted = answers.between(free, free + 20);
-    ensure!(admitted == [&encode_rtu_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
+    ensure!(
+        admitted == [&encode_rtu_frame(MODBUS_UNIT_ID, &[16, 0, 0, 0, 17])[..]],
+        "{admitted:02x?}"
+    );
     Ok(())
 }

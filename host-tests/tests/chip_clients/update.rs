@@ -9,10 +9,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_boot::header::Version;
+use trueup_boot::image_header::FirmwareVersion;
 use trueup_emulator::{
     chip::{self, RunningChipModel},
-    slots,
+    slot_images,
 };
 
 use crate::{LONG, info_with, support::FAST_MACHINE, trueup};
@@ -53,11 +53,14 @@ fn kill(mut child: Child) -> Result<()> {
 #[test]
 #[ignore = "long: two updates, as slow as the model is"]
 fn the_tool_updates_a_board_goes_on_after_a_kill_and_the_old_file_is_refused() -> Result<()> {
-    let Some(model) = chip::build()? else { return Ok(()) };
+    let Some(model) = chip::build_model()? else { return Ok(()) };
     let folder = tempfile::tempdir()?;
     let machine = machine(folder.path())?;
     let [old, new] = [1, 2].map(|patch| {
-        slots::build_flashable_files_for_machine(&machine, Version::new(0, 9, patch, 0))
+        slot_images::build_flashable_files_for_machine(
+            &machine,
+            FirmwareVersion::new(0, 9, patch, 0),
+        )
     });
     let (old, new) = (old?, new?);
     trueup()?;

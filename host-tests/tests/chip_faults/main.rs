@@ -17,7 +17,7 @@ use std::{
 
 use case::{HISTORY, Seen};
 use list::{Image, Run, runs};
-use trueup_emulator::{chip, firmware, seal, setup};
+use trueup_emulator::{chip, firmware_images, image_check, setup};
 
 /// Of 80 KB (`src/board/stm32f405/guard.x`).
 const HALF_A_STACK: u16 = 40 * 1024;
@@ -37,12 +37,13 @@ fn parts() -> Option<&'static Parts> {
     static PARTS: OnceLock<Option<Parts>> = OnceLock::new();
     PARTS
         .get_or_init(|| {
-            let model = chip::build().expect("the model builds")?;
+            let model = chip::build_model().expect("the model builds")?;
             let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
-            let flashed = firmware::build_image_for_machine(&machine).expect("the image builds");
+            let flashed =
+                firmware_images::build_image_for_machine(&machine).expect("the image builds");
             let folder = tempfile::tempdir().expect("a folder");
-            let breaking =
-                firmware::build_image_with_fault_injection(&machine).expect("the image builds");
+            let breaking = firmware_images::build_image_with_fault_injection(&machine)
+                .expect("the image builds");
             let unusable = [0, 1].map(|kind| spoil(&flashed, &machine, folder.path(), kind));
             Some(Parts { model, flashed, breaking, _folder: folder, unusable })
         })
@@ -51,7 +52,7 @@ fn parts() -> Option<&'static Parts> {
 
 /// Returns a copy of the image in this folder whose calibration is damaged (0) or of another schema (1), sealed again.
 fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
-    let machine = trueup_machine::file::MachineFile::read(machine).expect("a machine file");
+    let machine = trueup_machine::machine_file::MachineFile::read(machine).expect("a machine file");
     let compiled = trueup_machine::compile::compile(&machine).expect("it compiles");
     let blob = compiled.blob();
     let mut bytes = fs::read(image).expect("the image");
@@ -64,7 +65,7 @@ fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
     }
     let copy = folder.join(format!("unusable-{kind}.elf"));
     fs::write(&copy, bytes).expect("it is written");
-    seal::embed_image_check(&copy).expect("it has a place for it");
+    image_check::embed_image_check(&copy).expect("it has a place for it");
     copy
 }
 
@@ -111,7 +112,7 @@ fn play(parts: &Parts, run: &Run) -> Vec<String> {
         Image::NoCalibration => &parts.unusable[0],
         Image::OtherSchema => &parts.unusable[1],
     };
-    let key = seal::symbol_address(image, KEY).expect("an image");
+    let key = image_check::symbol_address(image, KEY).expect("an image");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script");
     fs::write(&file, script(run, key)).expect("it is written");
@@ -180,12 +181,12 @@ fn play_those(is_meant: impl Fn(&Run) -> bool) {
 #[test]
 fn only_the_breaking_image_accepts_the_command_to_break() {
     let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
-    let breaking = firmware::build_image_with_fault_injection(&machine).expect("it builds");
-    assert!(seal::symbol_address(&breaking, KEY).expect("an image").is_some());
-    for board in firmware::Board::ALL {
-        let image = firmware::build(board).expect("it builds");
+    let breaking = firmware_images::build_image_with_fault_injection(&machine).expect("it builds");
+    assert!(image_check::symbol_address(&breaking, KEY).expect("an image").is_some());
+    for board in firmware_images::Board::ALL {
+        let image = firmware_images::build(board).expect("it builds");
         assert_eq!(
-            seal::symbol_address(&image, KEY).expect("an image"),
+            image_check::symbol_address(&image, KEY).expect("an image"),
             None,
             "{}",
             board.cargo_feature()

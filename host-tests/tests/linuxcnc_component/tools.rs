@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
+use trueup_emulator::{linuxcnc::headless_linuxcnc::HeadlessLinuxCnc, setup};
 use trueup_machine::MachineFile;
 use trueup_twin::{
     Scenario,

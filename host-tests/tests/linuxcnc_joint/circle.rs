@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
+    linuxcnc::headless_linuxcnc::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
     setup::{self, LockedLinuxCnc},
 };
 use trueup_twin::{

@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
-use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
+use trueup_emulator::linuxcnc::headless_linuxcnc::HeadlessLinuxCnc;
 use trueup_linuxcnc::{
     hal::is_process_alive,
     status::{describe_status, parse},

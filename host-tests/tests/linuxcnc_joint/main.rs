@@ -24,7 +24,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
+    linuxcnc::headless_linuxcnc::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
     setup::{self, LockedLinuxCnc},
 };
 

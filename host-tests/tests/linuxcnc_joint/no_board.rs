@@ -12,11 +12,11 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
+    linuxcnc::headless_linuxcnc::{DISPLAY_PROGRAM, HeadlessLinuxCnc, SamplerGuard},
     setup::{self, LockedLinuxCnc},
 };
 
-use trueup_store::retained::{self, RETAINED_COPY_SIZE};
+use trueup_store::retained_state::{self, RETAINED_COPY_SIZE};
 
 use super::{
     stock_files::{OWN, ini},
@@ -190,7 +190,7 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     let bytes = fs::read(&heat).with_context(|| format!("{} is kept", heat.display()))?;
     let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
     copies.as_flattened_mut().copy_from_slice(&bytes);
-    ensure!(retained::load(&copies).is_some(), "a copy of the heat is whole");
+    ensure!(retained_state::load(&copies).is_some(), "a copy of the heat is whole");
     cnc.close()
 }
 

@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_emulator::linuxcnc::headless::{HeadlessLinuxCnc, SamplerGuard};
+use trueup_emulator::linuxcnc::headless_linuxcnc::{HeadlessLinuxCnc, SamplerGuard};
 
 use super::CYCLE_S;
 

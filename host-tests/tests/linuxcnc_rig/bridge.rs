@@ -21,7 +21,9 @@ use std::{
 use anyhow::{Context as _, Result};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, serve};
+use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd, board::VirtualBoard, firmware_images, serve,
+};
 use trueup_link::slcan::CR;
 use trueup_machine::{Machine, compile};
 use trueup_pipe::Block;
@@ -73,7 +75,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl RigBridge {
     /// Boots the board for this machine; its line is plugged in.
     pub fn start(machine: &Machine) -> Result<Self> {
-        let image = firmware::build_virtual_board_image()?;
+        let image = firmware_images::build_virtual_board_image()?;
         let calibration = compile(machine)?.blob().to_vec();
         let divider = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
         let divider = divider.context("a machine with a sensor")?.divider;
@@ -149,17 +151,17 @@ impl Drop for RigBridge {
 /// The board's time, which is the wall's. QEMU ends with the thread that has started it, so that is
 /// this one.
 fn live(image: &Path, calibration: &[u8], divider: f64, shared: &Arc<Shared>) -> Result<()> {
-    let mut front_end = FrontEnd::new(divider, 11);
+    let mut front_end = AnalogueFrontEnd::new(divider, 11);
     let mut board = VirtualBoard::boot(image, calibration)?;
-    let mut listener = listen_to(board.serial()?, shared);
-    *lock(&shared.serial) = Some(board.serial()?);
+    let mut listener = listen_to(board.try_clone_serial()?, shared);
+    *lock(&shared.serial) = Some(board.try_clone_serial()?);
     let mut start = Instant::now();
     let mut lived = 0_u32;
     while !shared.stop.load(Ordering::Relaxed) {
         if shared.restart.load(Ordering::Relaxed) {
             board = board.restart(image, calibration)?;
-            *lock(&shared.serial) = Some(board.serial()?);
-            listener = listen_to(board.serial()?, shared);
+            *lock(&shared.serial) = Some(board.try_clone_serial()?);
+            listener = listen_to(board.try_clone_serial()?, shared);
             (start, lived) = (Instant::now(), 0);
             shared.restart.store(false, Ordering::Relaxed);
         }

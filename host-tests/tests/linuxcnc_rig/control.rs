@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use anyhow::{Context as _, Result};
 use trueup_emulator::{
     host_programs,
-    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
+    linuxcnc::headless_linuxcnc::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
     setup::{self, LockedLinuxCnc},
 };
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use anyhow::{Result, ensure};
 use serde_json::json;
-use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
+use trueup_emulator::{linuxcnc::headless_linuxcnc::HeadlessLinuxCnc, setup};
 use trueup_machine::{Machine, MachineFile};
 
 use self::{

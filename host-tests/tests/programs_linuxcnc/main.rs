@@ -27,7 +27,7 @@ use cycles::Cycles;
 use stops::begin_and_pass_the_stop;
 use trueup_emulator::{
     linuxcnc::{
-        headless::{HeadlessLinuxCnc, SamplerGuard},
+        headless_linuxcnc::{HeadlessLinuxCnc, SamplerGuard},
         simulated_joints::{self, AxisIniLines},
     },
     setup::{self, LockedLinuxCnc},
@@ -36,12 +36,12 @@ use trueup_fit::{FitReport, pitch, straightness, straightness_report, thermal, w
 use trueup_machine::{
     Machine as Believed, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, writer::MachineFileEdit},
+    machine_file::{LinearAxis, writer::MachineFileEdit},
     model::{pitch_error_um, spline_value_um},
 };
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, control, create_plans,
-    template,
+    Control, MeasurementKind, MeasurementOptions, MeasurementPlan, MeasuringInstrument, control,
+    create_plans, template,
 };
 use trueup_twin::{
     Scenario,
@@ -115,7 +115,12 @@ fn read<'n>(
 
 /// Returns what LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
 /// `factor` seconds of the machine.
-fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
+fn measure(
+    rig: &mut Rig,
+    plan: &MeasurementPlan,
+    scenario: &Scenario,
+    factor: f64,
+) -> Result<String> {
     let Rig { cnc, cycles, .. } = rig;
     let program = control::generate_program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&program.0), program.1)?;
@@ -260,7 +265,7 @@ fn options(axes: &[LinearAxis]) -> MeasurementOptions {
     }
 }
 
-fn made(kind: MeasurementKind, options: &MeasurementOptions) -> Result<Vec<Plan>> {
+fn made(kind: MeasurementKind, options: &MeasurementOptions) -> Result<Vec<MeasurementPlan>> {
     Ok(create_plans(kind, &believed(), options)?.0)
 }
 

@@ -7,9 +7,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
+use trueup_emulator::{linuxcnc::headless_linuxcnc::HeadlessLinuxCnc, setup};
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, Plan, arc::ArcMove, control, plan::Step,
+    Control, MeasurementKind, MeasurementOptions, MeasurementPlan, arc::ArcMove, control,
+    plan::Step,
 };
 
 use crate::{RECORDER, Rig, TIMEOUT_S, X, Y, cycles::Cycles, made, options, start_with, touches};
@@ -62,7 +63,7 @@ const LATE: u32 = 5;
 const PROGRAM: Duration = Duration::from_secs(60);
 
 /// Runs a program with all its stops; returns where the axes were sent in each servo cycle after the first of them.
-fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
+fn run_with_stops(rig: &mut Rig, plan: &MeasurementPlan) -> Result<Vec<[f64; 3]>> {
     let Rig { cnc, cycles, .. } = rig;
     let (name, text) = control::generate_program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&name), text)?;
@@ -89,7 +90,7 @@ fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
 const ON_CIRCLE_MM: f64 = 1e-3;
 
 /// LinuxCNC goes around the centre of each arc as far as the plan says, on the circle, and does not stop on the way.
-fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
+fn check_arcs(plan: &MeasurementPlan, seen: &[[f64; 3]]) -> Result<()> {
     let mut at = 0;
     for step in &plan.steps {
         let Step::Arc(arc) = step else { continue };
@@ -131,7 +132,7 @@ fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
 }
 
 /// Returns where an arc begins: at the last places that its axes are sent to before.
-fn plan_start(plan: &Plan, arc: &ArcMove) -> [f64; 3] {
+fn plan_start(plan: &MeasurementPlan, arc: &ArcMove) -> [f64; 3] {
     let mut mm = [0.0; 3];
     for step in plan.steps.iter().take_while(|step| !matches!(step, Step::Arc(it) if it == arc)) {
         match step {

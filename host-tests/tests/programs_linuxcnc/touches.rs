@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
+use trueup_emulator::linuxcnc::headless_linuxcnc::HeadlessLinuxCnc;
 use trueup_program::{Control, MeasurementKind, MeasurementOptions, control};
 
 use crate::{Rig, TIMEOUT_S, made, options};

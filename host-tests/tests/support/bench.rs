@@ -11,10 +11,9 @@ use trueup_core::{
     units::Rpm,
 };
 use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd,
     board::{MAX_BATCH_BLOCKS, VirtualBoard},
-    firmware,
-    front_end::FrontEnd,
-    setup,
+    firmware_images, setup,
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{CompiledCalibration, Machine, MachineFile};
@@ -35,7 +34,7 @@ pub struct Bench {
     pub board: VirtualBoard,
     /// Faults that it has reported since its start.
     pub faults: Vec<Fault>,
-    front_end: FrontEnd,
+    front_end: AnalogueFrontEnd,
     offsets: OffsetReceiver,
     counter: u8,
     ms: u32,
@@ -43,7 +42,7 @@ pub struct Bench {
 
 impl Bench {
     pub fn boot(calibration: &CompiledCalibration) -> Self {
-        let image = firmware::build_virtual_board_image().expect("the image builds");
+        let image = firmware_images::build_virtual_board_image().expect("the image builds");
         let board = VirtualBoard::boot(&image, calibration.blob()).expect("the board boots");
         Self::around(image, board)
     }
@@ -55,7 +54,7 @@ impl Bench {
     }
 
     fn around(image: PathBuf, board: VirtualBoard) -> Self {
-        let front_end = FrontEnd::new(0.328, 3);
+        let front_end = AnalogueFrontEnd::new(0.328, 3);
         let offsets = OffsetReceiver::new();
         Self { image, board, faults: Vec::new(), front_end, offsets, counter: 0, ms: 0 }
     }

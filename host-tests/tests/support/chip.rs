@@ -9,8 +9,8 @@ use std::{
 use anyhow::Result;
 use tempfile::TempDir;
 use trueup_emulator::{
-    chip::{self, RunReport},
-    firmware,
+    chip::{self, ModelRunReport},
+    firmware_images,
 };
 
 /// The model, the image of a machine, and a folder for what they need.
@@ -26,16 +26,16 @@ pub struct Chip {
 impl Chip {
     /// Returns the image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_image_for_machine)
+        Self::built(text, firmware_images::build_image_for_machine)
     }
 
     /// Returns the same that breaks on command.
     pub fn that_breaks(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_image_with_fault_injection)
+        Self::built(text, firmware_images::build_image_with_fault_injection)
     }
 
     fn built(text: &str, build: fn(&Path) -> Result<PathBuf>) -> Result<Option<Self>> {
-        let Some(model) = chip::build()? else {
+        let Some(model) = chip::build_model()? else {
             println!("skipped: the model of the chip needs a newer compiler");
             return Ok(None);
         };
@@ -47,7 +47,7 @@ impl Chip {
     }
 
     /// Lets it live for so long in a world by script.
-    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Result<RunReport> {
+    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Result<ModelRunReport> {
         let file = tempfile::NamedTempFile::new_in(&self.folder)?;
         fs::write(&file, script)?;
         let (ms, path) = (ms.to_string(), file.path().to_string_lossy());

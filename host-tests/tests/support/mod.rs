@@ -21,7 +21,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use tempfile::TempDir;
-use trueup_emulator::{firmware, host_programs};
+use trueup_emulator::{firmware_images, host_programs};
 
 /// A machine whose offsets need no minutes to arrive.
 pub const FAST_MACHINE: &str = "\
@@ -84,7 +84,7 @@ pub fn xtask() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
         let build = || {
-            firmware::build_virtual_board_image()?;
+            firmware_images::build_virtual_board_image()?;
             host_programs::build_program("xtask", "xtask")
         };
         build().map_err(|error| format!("{error:#}"))

@@ -11,25 +11,25 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::flash_layout::{
-    FIRST_RECORDS_SECTOR, RECORDS_SECTOR_SIZE, RECORDS_START, SLOT_SECTORS, SLOT_SIZE, SLOTS_START,
+    JOURNAL_FIRST_SECTOR, JOURNAL_SECTOR_SIZE, JOURNAL_START, SLOT_SECTORS, SLOT_SIZE, SLOTS_START,
     Slot,
 };
 
 /// The two keys that unlock the control register (section 3.6.1).
 const UNLOCK_KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// The flags of errors, and EOP.
-const CLEARABLE_FLAGS: u32 = 0xF3;
-const ERROR_FLAGS: u32 = 0xF2;
-const BUSY_FLAG: u32 = 1 << 16;
+const SR_CLEARABLE_FLAGS: u32 = 0xF3;
+const SR_ERROR_FLAGS: u32 = 0xF2;
+const SR_BSY: u32 = 1 << 16;
 /// FLASH_CR: programming, sector erase, start, 32 bits at once, lock.
-const PROGRAM_BIT: u32 = 1;
-const SECTOR_ERASE_BIT: u32 = 1 << 1;
-const START_BIT: u32 = 1 << 16;
-const PSIZE_X32: u32 = 2 << 8;
-const LOCK_BIT: u32 = 1 << 31;
+const CR_PG: u32 = 1;
+const CR_SER: u32 = 1 << 1;
+const CR_STRT: u32 = 1 << 16;
+const CR_PSIZE_X32: u32 = 2 << 8;
+const CR_LOCK: u32 = 1 << 31;
 /// FLASH_ACR: the data cache, and its reset.
-const DATA_CACHE_ENABLE: u32 = 1 << 10;
-const DATA_CACHE_RESET: u32 = 1 << 12;
+const ACR_DCEN: u32 = 1 << 10;
+const ACR_DCRST: u32 = 1 << 12;
 /// The core stands still meanwhile, so one poll is enough where it runs from the flash.
 const MAX_BUSY_POLLS: u32 = 100_000;
 
@@ -42,17 +42,17 @@ pub struct FlashRegion<const UNIT: u32> {
 }
 
 /// The two sectors of the records.
-pub type Records = FlashRegion<RECORDS_SECTOR_SIZE>;
+pub type JournalRegion = FlashRegion<JOURNAL_SECTOR_SIZE>;
 /// The two slots.
-pub type Slots = FlashRegion<SLOT_SIZE>;
+pub type SlotRegion = FlashRegion<SLOT_SIZE>;
 
 /// Returns records and slots. They are used one after the other.
 #[allow(unsafe_code, reason = "registers of the flash")]
-pub fn split(controller: FLASH) -> (Records, Slots) {
+pub fn split(controller: FLASH) -> (JournalRegion, SlotRegion) {
     // SAFETY: the caller has both, and uses them one after the other.
     let second = unsafe { FLASH::steal() };
-    let sectors = [(FIRST_RECORDS_SECTOR, 1), (FIRST_RECORDS_SECTOR + 1, 1)];
-    let records = FlashRegion { controller, start: RECORDS_START, sectors };
+    let sectors = [(JOURNAL_FIRST_SECTOR, 1), (JOURNAL_FIRST_SECTOR + 1, 1)];
+    let records = FlashRegion { controller, start: JOURNAL_START, sectors };
     (records, FlashRegion { controller: second, start: SLOTS_START, sectors: SLOT_SECTORS })
 }
 
@@ -68,19 +68,19 @@ impl<const UNIT: u32> FlashRegion<UNIT> {
         if !self.wait_until_idle() {
             return Err(NorFlashErrorKind::Other);
         }
-        if self.read_control() & LOCK_BIT != 0 {
+        if self.read_control() & CR_LOCK != 0 {
             UNLOCK_KEYS.iter().for_each(|key| self.write_key(*key));
         }
         self.clear_errors();
-        let is_done = self.read_control() & LOCK_BIT == 0 && work() && !self.has_failed();
-        self.set_control(LOCK_BIT);
+        let is_done = self.read_control() & CR_LOCK == 0 && work() && !self.has_failed();
+        self.write_control(CR_LOCK);
         if is_done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 
     fn erase_sector(&self, sector: u8) -> bool {
-        let how = PSIZE_X32 | SECTOR_ERASE_BIT | u32::from(sector) << 3;
-        self.set_control(how);
-        self.set_control(how | START_BIT);
+        let how = CR_PSIZE_X32 | CR_SER | u32::from(sector) << 3;
+        self.write_control(how);
+        self.write_control(how | CR_STRT);
         cortex_m::asm::dsb();
         self.wait_until_idle() && !self.has_failed()
     }
@@ -90,7 +90,7 @@ impl<const UNIT: u32> FlashRegion<UNIT> {
     }
 
     #[allow(unsafe_code, reason = "registers of the flash")]
-    fn set_control(&self, bits: u32) {
+    fn write_control(&self, bits: u32) {
         // SAFETY: settings of section 3.9.6, for sectors of this region.
         self.controller.cr().write(|w| unsafe { w.bits(bits) });
     }
@@ -104,23 +104,23 @@ impl<const UNIT: u32> FlashRegion<UNIT> {
     #[allow(unsafe_code, reason = "registers of the flash")]
     fn clear_errors(&self) {
         // SAFETY: a flag is cleared by writing 1 to it (section 3.9.5).
-        self.controller.sr().write(|w| unsafe { w.bits(CLEARABLE_FLAGS) });
+        self.controller.sr().write(|w| unsafe { w.bits(SR_CLEARABLE_FLAGS) });
     }
 
     fn wait_until_idle(&self) -> bool {
-        (0..MAX_BUSY_POLLS).any(|_| self.controller.sr().read().bits() & BUSY_FLAG == 0)
+        (0..MAX_BUSY_POLLS).any(|_| self.controller.sr().read().bits() & SR_BSY == 0)
     }
 
     fn has_failed(&self) -> bool {
-        self.controller.sr().read().bits() & ERROR_FLAGS != 0
+        self.controller.sr().read().bits() & SR_ERROR_FLAGS != 0
     }
 
     /// Empties the data cache, whose values of an erased sector are old; it is off meanwhile (section 3.6.4).
     #[allow(unsafe_code, reason = "registers of the flash")]
     fn reset_data_cache(&self) {
         let acr = self.controller.acr().read().bits();
-        let off = acr & !DATA_CACHE_ENABLE;
-        for bits in [off, off | DATA_CACHE_RESET, off, acr] {
+        let off = acr & !ACR_DCEN;
+        for bits in [off, off | ACR_DCRST, off, acr] {
             // SAFETY: the wait states stay, and the cache is reset while it is off.
             self.controller.acr().write(|w| unsafe { w.bits(bits) });
         }
@@ -162,7 +162,7 @@ impl<const UNIT: u32> NorFlash for FlashRegion<UNIT> {
         check_write(self, offset, bytes.len())?;
         let words = self.start.wrapping_add(offset) as *mut u32;
         self.with_unlocked(|| {
-            self.set_control(PSIZE_X32 | PROGRAM_BIT);
+            self.write_control(CR_PSIZE_X32 | CR_PG);
             bytes.as_chunks().0.iter().enumerate().all(|(n, word)| {
                 // SAFETY: a word of the region; no code that runs lies there.
                 unsafe { ptr::write_volatile(words.wrapping_add(n), u32::from_le_bytes(*word)) };

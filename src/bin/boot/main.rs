@@ -31,16 +31,16 @@ use stm32f4xx_hal::pac::{Peripherals, RCC};
 use trueup_boot::{
     flash_layout::{HANDOVER_START, Slot},
     handover::StartInfo,
-    header::HEADER_SIZE,
+    image_header::HEADER_SIZE,
     journal::Journal,
-    public_key::{KEY_SIZE, PublicKey},
+    public_key::{PUBLIC_KEY_SIZE, PublicKey},
     start::{StartOutcome, StartSelection, select_image},
 };
 
-use watchdog::{BOOT_TIMEOUT, START_TIMEOUT};
+use watchdog::{BOOT_TIMEOUT, IMAGE_START_TIMEOUT};
 
 /// The key that updates are signed with (`build.rs`).
-static PUBLIC_KEY: &[u8; KEY_SIZE] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+static PUBLIC_KEY: &[u8; PUBLIC_KEY_SIZE] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
 #[entry]
 fn main() -> ! {
@@ -54,7 +54,7 @@ fn main() -> ! {
     let start = PublicKey::new(PUBLIC_KEY)
         .and_then(|key| select_image(&mut journal, &mut slots, &key, ending, clock, feed));
     clocks::restore_reset_state(&device.RCC, slots.controller());
-    watchdog::set_timeout(&device.IWDG, START_TIMEOUT);
+    watchdog::set_timeout(&device.IWDG, IMAGE_START_TIMEOUT);
     if let Some(start) = start {
         write_handover(&start);
         start_image(start.image.header.slot);

@@ -3,7 +3,7 @@
 //! | limit | 47 kHz | 32 kHz | 17 kHz |
 //! |---|---|---|---|
 //! | [`BOOT_TIMEOUT`]: while the boot program chooses an image | 0.54 s | 0.80 s | 1.51 s |
-//! | [`START_TIMEOUT`]: from its last step on, until the tasks of the application run | 0.34 s | 0.50 s | 0.94 s |
+//! | [`IMAGE_START_TIMEOUT`]: from its last step on, until the tasks of the application run | 0.34 s | 0.50 s | 0.94 s |
 //!
 //! The oscillator has 17 to 47 kHz (data sheet, LSI oscillator characteristics). The longest is what counts for an image that
 //! hangs: with two starts around it the board is back within 2 s. The shortest is longer than anything between two
@@ -31,7 +31,7 @@ pub struct WatchdogTimeout {
 /// The boot program chooses, or an application starts on a slow core.
 pub const BOOT_TIMEOUT: WatchdogTimeout = WatchdogTimeout { prescaler: 3, reload: 799 };
 /// An image starts.
-pub const START_TIMEOUT: WatchdogTimeout = WatchdogTimeout { prescaler: 3, reload: 499 };
+pub const IMAGE_START_TIMEOUT: WatchdogTimeout = WatchdogTimeout { prescaler: 3, reload: 499 };
 
 /// Starts it with a limit; it pauses while a debugger halts the core. Nothing but a reset stops it again.
 #[allow(unsafe_code, reason = "registers of the watchdog")]
@@ -45,19 +45,19 @@ pub fn start(iwdg: &RegisterBlock, dbgmcu: &DBGMCU, limit: WatchdogTimeout) {
 /// Sets a limit, and feeds: it counts by this one from now on.
 #[allow(unsafe_code, reason = "registers of the watchdog")]
 pub fn set_timeout(iwdg: &RegisterBlock, limit: WatchdogTimeout) {
-    wait_until_updated(iwdg);
+    wait_until_registers_updated(iwdg);
     // SAFETY: the keys and values of section 21.4.
     unsafe {
         iwdg.kr().write(|w| w.bits(UNLOCK_KEY));
         iwdg.pr().write(|w| w.bits(u32::from(limit.prescaler) as _));
         iwdg.rlr().write(|w| w.bits(u32::from(limit.reload) as _));
     }
-    wait_until_updated(iwdg);
+    wait_until_registers_updated(iwdg);
     feed(iwdg);
 }
 
 /// Waits until its registers are what was written. An emulator without a watchdog says at once that it is done.
-fn wait_until_updated(iwdg: &RegisterBlock) {
+fn wait_until_registers_updated(iwdg: &RegisterBlock) {
     let _is_done = (0..MAX_UPDATE_POLLS).any(|_| iwdg.sr().read().bits() == 0);
 }
 

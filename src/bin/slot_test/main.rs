@@ -27,11 +27,11 @@ use cortex_m::peripheral::{SCB, syst::SystClkSource};
 use cortex_m_rt::{entry, exception};
 use stm32f4xx_hal::pac::{IWDG, Peripherals, USART1};
 use trueup_boot::{
-    header::{HEADER_SIZE, Version},
     image_check::{Image, read_header},
+    image_header::{FirmwareVersion, HEADER_SIZE},
     journal::Journal,
     public_key::PublicKey,
-    update::{Update, confirm, slot_at},
+    update::{ImageUpdate, confirm, slot_at},
 };
 
 static PUBLIC_KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
@@ -69,12 +69,14 @@ fn main() -> ! {
     let (records, mut slots) = flash::split(device.FLASH);
     let mut journal = Journal::open(records);
     let slot = slot_at(load_image as *const () as u32);
-    let Ok(running) = read_header(&mut slots, slot, Version::default()) else { SCB::sys_reset() };
+    let Ok(running) = read_header(&mut slots, slot, FirmwareVersion::default()) else {
+        SCB::sys_reset()
+    };
     if behaviour == 4 || behaviour == 5 {
         let is_confirmed = confirm(&mut journal, &running).is_ok();
         send_line(&device.USART1, if is_confirmed { b'c' } else { b'!' });
     }
-    extend_watchdog(behaviour, &device.IWDG);
+    extend_watchdog_timeout(behaviour, &device.IWDG);
     if behaviour == 5 && load_image(&mut journal, &mut slots, &running, &device.IWDG) {
         send_line(&device.USART1, b'u');
         SCB::sys_reset();
@@ -90,8 +92,8 @@ fn main() -> ! {
 
 /// Loads the file; `true`: the boot program is to start it.
 fn load_image(
-    journal: &mut Journal<flash::Records>,
-    slots: &mut flash::Slots,
+    journal: &mut Journal<flash::JournalRegion>,
+    slots: &mut flash::SlotRegion,
     running: &Image,
     watchdog: &IWDG,
 ) -> bool {
@@ -101,7 +103,7 @@ fn load_image(
     else {
         return false;
     };
-    let Ok(mut update) = Update::begin(journal, slots, running, header) else { return false };
+    let Ok(mut update) = ImageUpdate::begin(journal, slots, running, header) else { return false };
     feed_watchdog(watchdog);
     let length = update.image().header.length as usize;
     let Some(rest) = file.get(HEADER_SIZE..length) else { return false };
@@ -121,7 +123,7 @@ fn hang() -> ! {
 }
 
 /// Eight seconds, as an application that may erase: by 256, 1 000 periods.
-fn extend_watchdog(behaviour: u8, watchdog: &IWDG) {
+fn extend_watchdog_timeout(behaviour: u8, watchdog: &IWDG) {
     if behaviour != 5 {
         return;
     }

@@ -20,7 +20,7 @@ use stm32f4xx_hal::{
 };
 use trueup_store::{
     calendar,
-    retained::{self, RETAINED_COPY_SIZE, RetainedCopies},
+    retained_state::{self, RETAINED_COPY_SIZE, RetainedCopies},
 };
 
 use super::{poll_until, watchdog::ResetCause};
@@ -32,11 +32,11 @@ const _: () = assert!(RETAINED_COPY_SIZE.is_multiple_of(4) && 2 * RETAINED_COPY_
 const CLOCK_SET_MAGIC: u32 = u32::from_be_bytes(*b"heat");
 /// The two keys that unlock the clock's registers (section 26.3.5), and what is none.
 const UNLOCK_KEYS: [u8; 2] = [0xCA, 0x53];
-const LOCK_KEY: u8 = 0xFF;
+const RTC_LOCK_KEY: u8 = 0xFF;
 /// Monday, 2001-01-01.
-const DEFAULT_DATE: u32 = 0x01_2101;
+const RTC_DEFAULT_DATE: u32 = 0x01_2101;
 /// The clock stands for being set after two cycles of the crystal, 61 µs (section 26.3.5): this is some ten times that.
-const MAX_POLLS: u32 = 10_000;
+const MAX_INIT_POLLS: u32 = 10_000;
 
 /// The SRAM and the clock.
 pub struct BackupDomain {
@@ -82,8 +82,10 @@ impl BackupDomain {
                 *word = value.to_le_bytes();
             }
         });
-        let off_s =
-            retained::off_time_s(copies, self.is_clock_set().then(|| self.read_clock()).flatten());
+        let off_s = retained_state::off_time_s(
+            copies,
+            self.is_clock_set().then(|| self.read_clock()).flatten(),
+        );
         match off_s {
             Some(off_s) => defmt::info!("the power was gone for {=u32} s", off_s),
             None => {
@@ -153,16 +155,16 @@ impl BackupDomain {
             self.clock.wpr().write(|w| w.key().set(key));
         }
         self.clock.isr().modify(|_, w| w.init().set_bit());
-        let is_open = poll_until(MAX_POLLS, || self.clock.isr().read().initf().bit_is_set());
+        let is_open = poll_until(MAX_INIT_POLLS, || self.clock.isr().read().initf().bit_is_set());
         if is_open {
             // SAFETY: a time and a date in BCD. The prescalers make seconds of this crystal as they are.
             unsafe {
                 self.clock.tr().write(|w| w.bits(0));
-                self.clock.dr().write(|w| w.bits(DEFAULT_DATE));
+                self.clock.dr().write(|w| w.bits(RTC_DEFAULT_DATE));
             }
         }
         self.clock.isr().modify(|_, w| w.init().clear_bit());
-        self.clock.wpr().write(|w| w.key().set(LOCK_KEY));
+        self.clock.wpr().write(|w| w.key().set(RTC_LOCK_KEY));
         if is_open {
             self.clock.bkpr(0).write(|w| w.bkp().set(CLOCK_SET_MAGIC));
             defmt::info!("the clock that outlasts a power cut is set");

@@ -61,7 +61,7 @@ impl BrownOut {
     }
 
     /// A turn of the supervisor: raises it, if it is low and no offset was given for a while.
-    pub fn raise_when_idle(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
+    pub fn raise_level_when_idle(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
         self.turns = if gives_offset { 0 } else { self.turns + 1 };
         if self.is_due && self.turns >= IDLE_CYCLES_BEFORE_RAISE {
             self.raise_level(watchdog);
@@ -74,7 +74,7 @@ fn is_protected(flash: &FLASH) -> bool {
 }
 
 fn write_level(flash: &FLASH) -> bool {
-    if !is_idle(flash) {
+    if !wait_until_idle(flash) {
         return false;
     }
     for key in UNLOCK_KEYS {
@@ -83,12 +83,12 @@ fn write_level(flash: &FLASH) -> bool {
     // All other options, the read protection above all, are written back as they were read.
     flash.optcr().modify(|_, w| w.bor_lev().set(BOR_LEVEL_3));
     flash.optcr().modify(|_, w| w.optstrt().set_());
-    let written = is_idle(flash);
+    let written = wait_until_idle(flash);
     flash.optcr().modify(|_, w| w.optlock().set_());
     written && is_protected(flash)
 }
 
-fn is_idle(flash: &FLASH) -> bool {
+fn wait_until_idle(flash: &FLASH) -> bool {
     poll_until(OPTION_WRITE_TIMEOUT_MS, || {
         let idle = flash.sr().read().bsy().bit_is_clear();
         if !idle {

@@ -29,7 +29,7 @@ use trueup_link::{
 use super::{super::CanErrorState, clocks::ClockSource, poll_until};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
-const BIT_TIMING: u32 = 0x001a_0002;
+const CAN_BIT_TIMING: u32 = 0x001a_0002;
 /// Frames of the CNC and of a CANopen master, by FIFO. The filter drops everything else but heartbeats.
 const ACCEPTED_IDS: [[u16; 4]; 2] = [
     [POSITION_X_ID, POSITION_Y_ID, CONTROL_ID, SDO_REQUEST_ID],
@@ -118,7 +118,7 @@ fn configure_filters(can: &CAN1, ids: &[[u16; 4]; 2]) {
 #[allow(unsafe_code, reason = "registers of the CAN controller")]
 fn join_bus(can: &CAN1) {
     // SAFETY: a valid bit timing, in initialisation mode.
-    can.btr().write(|w| unsafe { w.bits(BIT_TIMING) });
+    can.btr().write(|w| unsafe { w.bits(CAN_BIT_TIMING) });
     can.ier().modify(|_, w| w.fmpie0().enabled().fmpie1().enabled());
     can.mcr().modify(|_, w| w.abom().set_bit().inrq().clear_bit());
 }
@@ -202,7 +202,7 @@ impl CanOut {
         if !self.on_the_bus {
             return;
         }
-        self.update_worst_state();
+        self.update_worst_error_state();
         let mailbox = select_mailbox(frame.id());
         if !self.is_mailbox_empty(mailbox) && !self.abort_mailbox(mailbox) {
             self.count_late_frame(frame.id());
@@ -215,14 +215,14 @@ impl CanOut {
     /// 1.4 ms only, and comes again. A controller that was never meant to join is well.
     pub fn take_worst_state(&mut self) -> CanErrorState {
         if self.on_the_bus {
-            self.update_worst_state();
+            self.update_worst_error_state();
         }
         core::mem::take(&mut self.worst)
     }
 
     /// Section 32.9.2, ESR. A controller that was commanded to join and has not left its initialisation sees no
     /// quiet bus: a dominant one, by a short or a dead transceiver.
-    fn update_worst_state(&mut self) {
+    fn update_worst_error_state(&mut self) {
         let errors = self.can.esr().read();
         let outside = self.can.msr().read().inak().bit_is_set();
         self.worst.warning |= errors.ewgf().bit_is_set();

@@ -30,7 +30,7 @@ use stm32f4xx_hal::{
 use super::{
     crash_record::{self, CoreRegisters, StopReason},
     crystal,
-    stopwatch::{self, poll_with_timeout},
+    startup_timer::{self, poll_with_timeout},
 };
 
 /// Clock source of the core.
@@ -56,7 +56,7 @@ const PLL_TIMEOUT_CYCLES: u32 = 3 * CYCLES_PER_MS;
 
 /// Starts the best clock there is, and says which. SysTick measures the time until then.
 pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, ClockSource) {
-    stopwatch::start(systick);
+    startup_timer::start(systick);
     reset_clock_tree(&rcc);
     let source = select_clock_source(&rcc, timer);
     let rcc = rcc.freeze(clock_config(source));

@@ -21,12 +21,12 @@ const CHECKSUM_SEED: u32 = 0x7472_7565;
 
 #[unsafe(link_section = ".uninit.crash_record")]
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-static RECORD: MaybeUninit<[AtomicU32; RECORD_WORDS]> = MaybeUninit::uninit();
+static CRASH_RECORD: MaybeUninit<[AtomicU32; RECORD_WORDS]> = MaybeUninit::uninit();
 
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
 fn record_words() -> &'static [AtomicU32; RECORD_WORDS] {
     // SAFETY: any bits are a value of these.
-    unsafe { RECORD.assume_init_ref() }
+    unsafe { CRASH_RECORD.assume_init_ref() }
 }
 
 /// Why the board stopped itself.

@@ -11,12 +11,12 @@
 
 use stm32f4xx_hal::pac::{IWDG, RCC, TIM11};
 
-use super::{poll_until, stopwatch};
+use super::{poll_until, startup_timer};
 
 /// Crystals that the clock tree has settings for, in MHz.
 const SUPPORTED_CRYSTALS_MHZ: [u32; 4] = [8, 12, 16, 25];
 /// How far the measured rate may be off, in percent: the oscillator's 8 and the measurement's own 1.
-const TOLERANCE_PERCENT: u32 = 10;
+const CRYSTAL_TOLERANCE_PERCENT: u32 = 10;
 /// The internal oscillator, which the core and TIM11 run from meanwhile.
 const HSI_KHZ: u32 = 16_000;
 /// RTCPRE: a capture of 25 MHz comes every 10 µs, time enough for a poll.
@@ -39,13 +39,13 @@ const MAX_UPDATE_POLLS: u32 = 10_000;
 /// Returns the crystal that runs, in MHz; `None`: it is none of those known, or it cannot be measured. Its rate is
 /// in the log. The core runs from the internal oscillator before and after, and SysTick counts its cycles.
 pub fn measure_crystal_mhz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
-    let khz = crystal_khz_by_timer(rcc, timer).or_else(|| {
+    let khz = measure_crystal_khz_by_timer(rcc, timer).or_else(|| {
         defmt::warn!("crystal: TIM11 captures nothing, the watchdog's oscillator measures it");
-        crystal_khz_by_watchdog(rcc)
+        measure_crystal_khz_by_watchdog(rcc)
     })?;
     let known = SUPPORTED_CRYSTALS_MHZ
         .into_iter()
-        .find(|mhz| khz.abs_diff(mhz * 1_000) * 100 <= mhz * 1_000 * TOLERANCE_PERCENT);
+        .find(|mhz| khz.abs_diff(mhz * 1_000) * 100 <= mhz * 1_000 * CRYSTAL_TOLERANCE_PERCENT);
     match known {
         Some(mhz) => defmt::info!("crystal: {} MHz, measured {} kHz", mhz, khz),
         None => defmt::error!("crystal: {} kHz is none of 8, 12, 16, 25 MHz", khz),
@@ -55,7 +55,7 @@ pub fn measure_crystal_mhz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
 
 /// Returns the crystal's rate by TIM11; `None`: nothing was captured, or a capture was missed.
 #[allow(unsafe_code, reason = "registers of a timer and of the clock tree")]
-fn crystal_khz_by_timer(rcc: &RCC, timer: &TIM11) -> Option<u32> {
+fn measure_crystal_khz_by_timer(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     rcc.apb2enr().modify(|_, w| w.tim11en().enabled());
     // A read of the register lets the clock come up (errata sheet, delay after an RCC clock enabling).
     let _clocked = rcc.apb2enr().read();
@@ -96,12 +96,12 @@ fn wait_for_capture(timer: &TIM11) -> Option<u16> {
 /// Returns the crystal's rate by the watchdog's oscillator; `None`: the watchdog does not answer. The core runs from
 /// the crystal meanwhile, without wait states, which do up to 30 MHz (section 3.5.1), and under the clock
 /// security system, lest it stop for good with the crystal.
-fn crystal_khz_by_watchdog(rcc: &RCC) -> Option<u32> {
-    let internal = measure_update_cycles()?;
+fn measure_crystal_khz_by_watchdog(rcc: &RCC) -> Option<u32> {
+    let internal = measure_prescaler_update_cycles()?;
     rcc.cr().modify(|_, w| w.csson().on());
     rcc.cfgr().modify(|_, w| w.sw().hse());
     let runs = poll_until(MAX_UPDATE_POLLS, || rcc.cfgr().read().sws().is_hse());
-    let crystal = if runs { measure_update_cycles() } else { None };
+    let crystal = if runs { measure_prescaler_update_cycles() } else { None };
     rcc.cfgr().modify(|_, w| w.sw().hsi());
     let is_back = poll_until(MAX_UPDATE_POLLS, || rcc.cfgr().read().sws().is_hsi());
     rcc.cr().modify(|_, w| w.csson().off());
@@ -111,7 +111,7 @@ fn crystal_khz_by_watchdog(rcc: &RCC) -> Option<u32> {
 
 /// Returns how many cycles the core makes while the watchdog's prescaler is written again and again with what it is.
 #[allow(unsafe_code, reason = "registers of the watchdog")]
-fn measure_update_cycles() -> Option<u32> {
+fn measure_prescaler_update_cycles() -> Option<u32> {
     /// Lets the prescaler be written (IWDG_KR, section 21.4.1).
     const UNLOCK_KEY: u16 = 0x5555;
     // SAFETY: the watchdog's owner does nothing before the start is done, and finds everything as it was.
@@ -127,6 +127,6 @@ fn measure_update_cycles() -> Option<u32> {
     if !done() || !update() {
         return None;
     }
-    let start = stopwatch::now();
-    (0..MEASURED_UPDATES).all(|_| update()).then(|| stopwatch::cycles_since(start))
+    let start = startup_timer::now();
+    (0..MEASURED_UPDATES).all(|_| update()).then(|| startup_timer::cycles_since(start))
 }

@@ -23,13 +23,13 @@ use super::{CYCLES_PER_MS, mpu, poll_until, watchdog};
 
 /// Where sector 8 begins.
 const STORE_START_ADDRESS: usize = 0x0808_0000;
-const FIRST_SECTOR: u8 = 8;
-const SECTOR_SIZE: usize = 128 * 1024;
-const SECTOR_COUNT: usize = 2;
+const STORE_FIRST_SECTOR: u8 = 8;
+const STORE_SECTOR_SIZE: usize = 128 * 1024;
+const SECTORS_PER_STORE: usize = 2;
 /// The two keys that unlock the control register (section 3.6.1).
 const UNLOCK_KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// PGSERR, PGPERR, PGAERR, WRPERR, OPERR and EOP.
-const CLEARABLE_FLAGS: u32 = 0xF3;
+const SR_CLEARABLE_FLAGS: u32 = 0xF3;
 /// A word needs 100 µs at most; this is about 1 ms.
 const MAX_WRITE_POLLS: u32 = 16_384;
 /// Milliseconds that an erase may take, twice what the data sheet says.
@@ -53,13 +53,13 @@ impl Flash {
             controller.cr().reset();
         }
         [
-            Self { controller, sector: FIRST_SECTOR },
-            Self { controller: second, sector: FIRST_SECTOR + SECTOR_COUNT as u8 },
+            Self { controller, sector: STORE_FIRST_SECTOR },
+            Self { controller: second, sector: STORE_FIRST_SECTOR + SECTORS_PER_STORE as u8 },
         ]
     }
 
     fn start_address(&self) -> usize {
-        STORE_START_ADDRESS + usize::from(self.sector - FIRST_SECTOR) * SECTOR_SIZE
+        STORE_START_ADDRESS + usize::from(self.sector - STORE_FIRST_SECTOR) * STORE_SECTOR_SIZE
     }
 
     /// Returns what is stored there, in place.
@@ -69,7 +69,7 @@ impl Flash {
     #[allow(unsafe_code, reason = "registers and words of the flash")]
     pub unsafe fn mapped_slice(&self, offset: u32, length: usize) -> &'static [u8] {
         let end = offset as usize + length;
-        assert!(end <= SECTOR_COUNT * SECTOR_SIZE, "within the two sectors");
+        assert!(end <= SECTORS_PER_STORE * STORE_SECTOR_SIZE, "within the two sectors");
         // SAFETY: flash that is there, and stays unchanged, as the caller promises.
         unsafe {
             slice::from_raw_parts((self.start_address() + offset as usize) as *const u8, length)
@@ -103,7 +103,7 @@ impl Flash {
 #[allow(unsafe_code, reason = "registers and words of the flash")]
 fn clear_errors(flash: &FLASH) {
     // SAFETY: the flags of the register, and no other bit.
-    flash.sr().write(|w| unsafe { w.bits(CLEARABLE_FLAGS) });
+    flash.sr().write(|w| unsafe { w.bits(SR_CLEARABLE_FLAGS) });
 }
 
 fn is_idle(flash: &FLASH) -> bool {
@@ -141,13 +141,13 @@ impl ReadNorFlash for Flash {
     }
 
     fn capacity(&self) -> usize {
-        SECTOR_COUNT * SECTOR_SIZE
+        SECTORS_PER_STORE * STORE_SECTOR_SIZE
     }
 }
 
 impl NorFlash for Flash {
     const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = SECTOR_SIZE;
+    const ERASE_SIZE: usize = STORE_SECTOR_SIZE;
 
     #[inline(never)]
     #[allow(unsafe_code, reason = "registers and words of the flash")]
@@ -172,11 +172,11 @@ impl NorFlash for Flash {
     #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
         check_erase(self, from, to)?;
-        let first = from as usize / SECTOR_SIZE;
-        let end = to as usize / SECTOR_SIZE;
+        let first = from as usize / STORE_SECTOR_SIZE;
+        let end = to as usize / STORE_SECTOR_SIZE;
         let own = self.sector;
         let erase = |flash: &FLASH| {
-            let erased = (own..).take(SECTOR_COUNT).take(end).skip(first).all(|sector| {
+            let erased = (own..).take(SECTORS_PER_STORE).take(end).skip(first).all(|sector| {
                 // SAFETY: 8 to 11 are sectors of this chip, and none holds the image.
                 flash.cr().modify(|_, w| unsafe {
                     w.psize().variant(PSIZE::Psize32).ser().set_bit().snb().bits(sector)

@@ -56,7 +56,7 @@ static IMAGE_CHECK: ImageChecksum = ImageChecksum { length: UNSEALED, crc: UNSEA
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
 pub enum ImageStatus {
     /// It is the one that was built.
-    Whole,
+    Intact,
     /// It says no CRC.
     Unsealed,
     /// It is another one.
@@ -87,16 +87,16 @@ impl ImageChecker {
         image.verdict = match read_stored_checksum() {
             (UNSEALED, UNSEALED) => ImageStatus::Unsealed,
             (length, _) if length > MAX_IMAGE_BYTES || length % 4 != 0 => ImageStatus::Damaged,
-            _ => ImageStatus::Whole,
+            _ => ImageStatus::Intact,
         };
         image.restart();
         // The boot program has verified the bytes of a slot a moment ago.
-        while image.verdict == ImageStatus::Whole
+        while image.verdict == ImageStatus::Intact
             && !cfg!(feature = "slots")
             && !image.check_next_words()
         {}
         match image.verdict {
-            ImageStatus::Whole => {
+            ImageStatus::Intact => {
                 defmt::info!("image: CRC {=u32:#010x}, whole", read_stored_checksum().1)
             }
             ImageStatus::Unsealed => defmt::warn!("image: no CRC was built in, it is not checked"),
@@ -113,7 +113,7 @@ impl ImageChecker {
     /// Takes the next piece; `true`: it was the last one.
     #[allow(unsafe_code, reason = "words of the flash")]
     pub fn check_next_words(&mut self) -> bool {
-        if self.verdict != ImageStatus::Whole {
+        if self.verdict != ImageStatus::Intact {
             return true;
         }
         let (length, crc) = read_stored_checksum();

@@ -19,7 +19,7 @@ use stm32f4xx_hal::{
     pac::{ADC2, DMA2, adc1::smpr1::SMP10 as Cycles},
     rcc::{Enable, Rcc},
 };
-use trueup_core::{calibration::MainsFrequency, thermometer::RawReading};
+use trueup_core::{calibration::MainsFrequency, thermometer::RawTemperatureReading};
 
 use super::{super::TEMPERATURE_CHANNEL_COUNT, poll_until};
 
@@ -41,7 +41,7 @@ static DMA_BUFFER: [AtomicU16; MAX_CODES_PER_CHANNEL * TEMPERATURE_CHANNEL_COUNT
     [const { AtomicU16::new(0) }; MAX_CODES_PER_CHANNEL * TEMPERATURE_CHANNEL_COUNT];
 
 /// Where the channels come in.
-pub type Pins = (PA1, PA2, PA3, PA4, PA5, PA6, PA7, PB0);
+pub type ChannelPins = (PA1, PA2, PA3, PA4, PA5, PA6, PA7, PB0);
 
 /// The second converter and its stream.
 pub struct LinearInputs {
@@ -55,7 +55,7 @@ pub struct LinearInputs {
 #[allow(unsafe_code, reason = "registers of the DMA, channels of the converter")]
 pub fn start(
     adc: ADC2,
-    pins: Pins,
+    pins: ChannelPins,
     sampling: Cycles,
     mains: MainsFrequency,
     rcc: &mut Rcc,
@@ -90,9 +90,9 @@ pub fn start(
 }
 
 impl LinearInputs {
-    /// Returns what all channels deliver: the mean of the last 20 or 50 ms. [`RawReading::NONE`] where the ring has not gone
+    /// Returns what all channels deliver: the mean of the last 20 or 50 ms. [`RawTemperatureReading::NONE`] where the ring has not gone
     /// round since the last time; then it is started anew.
-    pub fn read_means(&mut self) -> [RawReading; TEMPERATURE_CHANNEL_COUNT] {
+    pub fn read_means(&mut self) -> [RawTemperatureReading; TEMPERATURE_CHANNEL_COUNT] {
         let status = self.dma.lisr().read();
         let is_round = status.tcif3().is_complete();
         let failed = self.adc.sr().read().ovr().is_overrun()
@@ -101,7 +101,7 @@ impl LinearInputs {
         self.clear_flags();
         if failed || !is_round {
             self.restart();
-            return [RawReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+            return [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         }
         fence(Ordering::SeqCst);
         core::array::from_fn(|channel| {
@@ -112,7 +112,7 @@ impl LinearInputs {
             let count = self.codes as u32;
             let mean = (sum * 256 + count / 2) / count;
             // 20 bits.
-            RawReading(mean.cast_signed())
+            RawTemperatureReading(mean.cast_signed())
         })
     }
 

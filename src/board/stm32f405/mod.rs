@@ -25,7 +25,6 @@ mod clocks;
 mod crash_record;
 mod crystal;
 mod flash;
-mod identity;
 mod image_check;
 mod linear_inputs;
 mod mpu;
@@ -45,11 +44,12 @@ mod service_switch;
 #[path = "../../bin/boot/flash.rs"]
 mod slot_flash;
 mod stack_watermark;
+mod startup_timer;
 mod status_led;
-mod stopwatch;
 mod store;
 mod stored_data;
 mod thermometers;
+mod unique_id;
 mod watchdog;
 
 use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
@@ -100,16 +100,16 @@ pub fn start(
     let mut watchdog = Watchdog::start(device.IWDG, &device.DBGMCU);
     let reset = watchdog::take_reset_cause(&device.RCC);
     defmt::info!("reset by {}", reset);
-    let began = describe_start(reset);
+    let began = determine_reset_info(reset);
     mpu::enable(&core.MPU);
-    trap_divisions_by_zero(&core.SCB);
+    enable_divide_by_zero_trap(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
     if source == ClockSource::Internal {
         watchdog.set_slow_clock_timeout();
     }
     watchdog.feed();
     let mut brown_out = BrownOut::new(reset);
-    keep_debugger_connected(&device.DBGMCU);
+    enable_debug_in_sleep_mode(&device.DBGMCU);
 
     let stored = StoredData::open(device.FLASH, buffer, &mut watchdog);
     if stored.is_new {
@@ -126,7 +126,7 @@ pub fn start(
     // Before any of its streams: the converter's and the serial line's.
     enable_dma2(&mut rcc);
     let (serial_in, serial_out) = serial::start(device.USART1, gpioa.pa9, gpioa.pa10, &mut rcc);
-    let plc_pins = rs485::Pins {
+    let plc_pins = rs485::Rs485Pins {
         transmit: gpiob.pb10,
         receive: gpiob.pb11,
         drive: gpiob.pb12,
@@ -162,7 +162,7 @@ pub fn start(
         let inputs = linear_inputs::start(device.ADC2, pins, sampling_time, mains, &mut rcc);
         thermometers.set_linear_inputs(inputs);
     }
-    let serial_number = identity::hashed_serial_number(&device.DBGMCU);
+    let serial_number = unique_id::hashed_serial_number(&device.DBGMCU);
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
     Parts {
         samples,
@@ -189,7 +189,7 @@ pub fn start(
         start: began,
         self_test,
         serial_number,
-        chip: identity::unique_id_words(&device.DBGMCU),
+        chip: unique_id::unique_id_words(&device.DBGMCU),
     }
 }
 
@@ -224,7 +224,7 @@ fn startup_faults(
 }
 
 /// Returns what is known of how the board came to run, before a task of this start leaves its own mark.
-fn describe_start(reset: ResetCause) -> ResetInfo {
+fn determine_reset_info(reset: ResetCause) -> ResetInfo {
     let last_words = crash_record::take().filter(|_| reset != ResetCause::PowerOn);
     let reason = watchdog::reset_reason(reset, last_words.as_ref());
     let stop = match &last_words {
@@ -246,7 +246,7 @@ fn describe_start(reset: ResetCause) -> ResetInfo {
 
 /// A division by zero is a fault, and not 0 (Armv7-M manual, B3.2.8, DIV_0_TRP).
 #[allow(unsafe_code, reason = "registers of the core")]
-fn trap_divisions_by_zero(scb: &SCB) {
+fn enable_divide_by_zero_trap(scb: &SCB) {
     // SAFETY: no other bit changes, and no code here divides by zero on purpose.
     unsafe { scb.ccr.modify(|bits| bits | 1 << 4) };
 }
@@ -262,7 +262,7 @@ fn start_supervisor_clock(systick: &mut SYST, core_hz: u32) {
 
 /// Keeps the clocks of a sleeping core on: without them a debugger loses the chip, and its log,
 /// at every `wfi` (section 38.16.1).
-fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
+fn enable_debug_in_sleep_mode(dbgmcu: &pac::DBGMCU) {
     dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
 }
 

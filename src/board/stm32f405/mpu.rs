@@ -19,28 +19,39 @@ use cortex_m::{
     peripheral::{MPU, mpu::RegisterBlock},
 };
 
-/// The guard below the stack: below [`STACK`], and above all variables (`guard.x`).
-pub const STACK_GUARD: Range<u32> = 0x2000_A000..0x2000_C000;
+/// The guard below the stack: below [`STACK_RANGE`], and above all variables (`guard.x`).
+pub const STACK_GUARD_RANGE: Range<u32> = 0x2000_A000..0x2000_C000;
 /// The stack; in a slot its last 16 bytes are what the boot program hands over.
-pub const STACK: Range<u32> = 0x2000_C000..0x2002_0000;
+pub const STACK_RANGE: Range<u32> = 0x2000_C000..0x2002_0000;
 
-/// Region of the store.
-const STORE_REGION: Region =
-    Region { number: 2, start: 0x0808_0000, log2_size: 19, attributes: READ_ONLY | EXECUTE_NEVER };
-const REGIONS: [Region; 5] = [
-    Region { number: 0, start: 0, log2_size: 27, attributes: EXECUTE_NEVER },
-    Region { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ_ONLY },
+/// MpuRegion of the store.
+const STORE_REGION: MpuRegion = MpuRegion {
+    number: 2,
+    start: 0x0808_0000,
+    log2_size: 19,
+    attributes: READ_ONLY | EXECUTE_NEVER,
+};
+const MPU_REGIONS: [MpuRegion; 5] = [
+    MpuRegion { number: 0, start: 0, log2_size: 27, attributes: EXECUTE_NEVER },
+    MpuRegion { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ_ONLY },
     STORE_REGION,
-    Region {
+    MpuRegion {
         number: 3,
         start: 0x2000_0000,
         log2_size: 17,
         attributes: READ_WRITE | EXECUTE_NEVER | SHAREABLE,
     },
-    Region { number: 4, start: STACK_GUARD.start, log2_size: 13, attributes: EXECUTE_NEVER },
+    MpuRegion {
+        number: 4,
+        start: STACK_GUARD_RANGE.start,
+        log2_size: 13,
+        attributes: EXECUTE_NEVER,
+    },
 ];
-const _: () =
-    assert!(STACK_GUARD.end - STACK_GUARD.start == 1 << 13 && STACK_GUARD.end == STACK.start);
+const _: () = assert!(
+    STACK_GUARD_RANGE.end - STACK_GUARD_RANGE.start == 1 << 13
+        && STACK_GUARD_RANGE.end == STACK_RANGE.start
+);
 
 /// AP 6: read by everybody; C: as flash is cached.
 const READ_ONLY: u32 = 6 << 24 | 1 << 17;
@@ -50,9 +61,9 @@ const SHAREABLE: u32 = 1 << 18;
 /// XN.
 const EXECUTE_NEVER: u32 = 1 << 28;
 /// ENABLE and PRIVDEFENA.
-const ENABLE_BITS: u32 = 1 | 1 << 2;
+const CTRL_ENABLE_PRIVDEFENA: u32 = 1 | 1 << 2;
 
-struct Region {
+struct MpuRegion {
     number: u32,
     start: u32,
     /// At least 5; `start` is a multiple of the size.
@@ -60,7 +71,7 @@ struct Region {
     attributes: u32,
 }
 
-impl Region {
+impl MpuRegion {
     /// Sets it at once: what comes next is held to it.
     #[allow(unsafe_code, reason = "registers of the core")]
     fn apply(&self, mpu: &RegisterBlock) {
@@ -77,18 +88,18 @@ impl Region {
 /// Switches it on.
 #[allow(unsafe_code, reason = "registers of the core")]
 pub fn enable(mpu: &MPU) {
-    REGIONS.iter().for_each(|region| region.apply(mpu));
+    MPU_REGIONS.iter().for_each(|region| region.apply(mpu));
     // SAFETY: as above.
-    unsafe { mpu.ctrl.write(ENABLE_BITS) };
+    unsafe { mpu.ctrl.write(CTRL_ENABLE_PRIVDEFENA) };
     asm::dsb();
     asm::isb();
 }
 
 /// The records of the firmware slots: sectors 2 and 3.
 #[cfg(feature = "slots")]
-const SLOT_RECORDS_REGION: Region = Region {
+const SLOT_JOURNAL_REGION: MpuRegion = MpuRegion {
     number: 5,
-    start: trueup_boot::flash_layout::RECORDS_START,
+    start: trueup_boot::flash_layout::JOURNAL_START,
     log2_size: 15,
     attributes: READ_ONLY | EXECUTE_NEVER,
 };
@@ -99,9 +110,9 @@ const SLOT_RECORDS_REGION: Region = Region {
 pub fn with_records_writable<R>(work: impl FnOnce() -> R) -> R {
     // SAFETY: as for the store: this region is changed only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
-    Region { attributes: READ_WRITE | EXECUTE_NEVER, ..SLOT_RECORDS_REGION }.apply(mpu);
+    MpuRegion { attributes: READ_WRITE | EXECUTE_NEVER, ..SLOT_JOURNAL_REGION }.apply(mpu);
     let result = work();
-    SLOT_RECORDS_REGION.apply(mpu);
+    SLOT_JOURNAL_REGION.apply(mpu);
     result
 }
 
@@ -119,7 +130,7 @@ pub fn with_slot_writable<R>(
         Slot::A => (FLASH_START, BOOT_SUBREGIONS_DISABLED),
         Slot::B => (Slot::B.start(), 0),
     };
-    let slot = |attributes| Region { number: 6, start, log2_size: 18, attributes };
+    let slot = |attributes| MpuRegion { number: 6, start, log2_size: 18, attributes };
     // SAFETY: as for the store; nothing that runs lies in this slot.
     let mpu = unsafe { &*MPU::PTR };
     slot(READ_WRITE | EXECUTE_NEVER | without).apply(mpu);
@@ -133,7 +144,7 @@ pub fn with_slot_writable<R>(
 pub fn with_store_writable<R>(work: impl FnOnce() -> R) -> R {
     // SAFETY: after the start only the region of the store is changed, only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
-    Region { attributes: READ_WRITE | EXECUTE_NEVER, ..STORE_REGION }.apply(mpu);
+    MpuRegion { attributes: READ_WRITE | EXECUTE_NEVER, ..STORE_REGION }.apply(mpu);
     let result = work();
     STORE_REGION.apply(mpu);
     result

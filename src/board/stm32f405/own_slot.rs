@@ -18,16 +18,16 @@ use trueup_boot::{
     boot_state::ImageStatus,
     flash_layout::{HANDOVER_START, Slot},
     handover::{HANDOVER_WORD_COUNT, StartInfo},
-    header::{HEADER_SIZE, Version},
     image_check::{Image, ImageDefect, read_header},
+    image_header::{FirmwareVersion, HEADER_SIZE},
     journal::Journal,
     public_key::PublicKey,
-    refusal::RefusalReason,
-    update::{Update, UpdateError, announce_reset, confirm, slot_at},
+    refusal_reason::FirmwareRejectReason,
+    update::{ImageUpdate, UpdateError, announce_reset, confirm, slot_at},
 };
 use trueup_canopen::dictionary::FIRMWARE_HEADER_BYTES;
 use trueup_core::cnc::OffsetQuality;
-use trueup_node::node::firmware::{FirmwareChunk, SlotStates, UpdateStep};
+use trueup_node::node::firmware_update::{FirmwareChunk, SlotStates, UpdateStep};
 
 use super::{mpu, slot_flash, watchdog::Watchdog};
 
@@ -40,7 +40,7 @@ const _: () = assert!(
 );
 
 /// Milliseconds of offsets in a row that confirm an image.
-const CONFIRM_TIME_MS: u32 = 60_000;
+const CONFIRMATION_TIME_MS: u32 = 60_000;
 
 /// Bytes of the boot program, if this image is one whole to be flashed.
 const BOOT_IMAGE: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/boot.bin"));
@@ -64,9 +64,9 @@ static TRUEUP_SLOT_HEADER: [u8; HEADER_SIZE] = [0xFF; HEADER_SIZE];
 
 /// The slot of this image.
 pub struct OwnSlot {
-    journal: Journal<slot_flash::Records>,
-    slots: slot_flash::Slots,
-    update: Option<Update>,
+    journal: Journal<slot_flash::JournalRegion>,
+    slots: slot_flash::SlotRegion,
+    update: Option<ImageUpdate>,
     /// Bytes of it on their way from the node.
     pub piece: FirmwareChunk,
     /// `None`: it has no header, as after a probe without one.
@@ -79,12 +79,12 @@ pub struct OwnSlot {
 impl OwnSlot {
     /// Looks it up. The flash has other users, of which none runs at the same time: start and supervisor.
     #[allow(unsafe_code, reason = "the flash has several users")]
-    pub fn look() -> Self {
+    pub fn locate() -> Self {
         // SAFETY: the start and the supervisor use it one after the other.
         let controller = unsafe { FLASH::steal() };
         let (records, mut slots) = slot_flash::split(controller);
-        let slot = slot_at(Self::look as *const () as u32);
-        let image = read_header(&mut slots, slot, Version::default()).ok();
+        let slot = slot_at(Self::locate as *const () as u32);
+        let image = read_header(&mut slots, slot, FirmwareVersion::default()).ok();
         let journal = Journal::open(records);
         let handed = take_handover();
         let choice = image.and_then(|image| StartInfo::from_words(handed, image.tag));
@@ -112,7 +112,7 @@ impl OwnSlot {
         let running = self.image?.header.slot.number();
         let state = self.journal.state();
         let [a, b] = Slot::ALL.map(|slot| {
-            let image = read_header(&mut self.slots, slot, Version::default()).ok()?;
+            let image = read_header(&mut self.slots, slot, FirmwareVersion::default()).ok()?;
             Some((image.header.version.0, state.status(slot, image.tag).encode()))
         });
         let [(version_a, a), (version_b, b)] = [a, b].map(Option::unwrap_or_default);
@@ -133,7 +133,7 @@ impl OwnSlot {
         step: UpdateStep,
         watchdog: &mut Watchdog,
     ) -> Result<(), u8> {
-        let Some(running) = self.image else { return Err(RefusalReason::NoSlots.number()) };
+        let Some(running) = self.image else { return Err(FirmwareRejectReason::NoSlots.number()) };
         let spare = running.header.slot.other();
         let done = mpu::with_slot_writable(spare, || match step {
             // An erase takes longer than the watchdog waits.
@@ -142,7 +142,7 @@ impl OwnSlot {
                 self.ensure_record_space();
                 begun
             }),
-            UpdateStep::Write => self.append_piece(),
+            UpdateStep::Write => self.append_chunk(),
             UpdateStep::Finish => watchdog.with_extended_timeout(|| {
                 let finished = self.finish();
                 self.ensure_record_space();
@@ -152,7 +152,7 @@ impl OwnSlot {
         done.map_err(|error| {
             defmt::error!("update refused: {}", defmt::Display2Format(&error));
             self.update = None;
-            RefusalReason::from(error).number()
+            FirmwareRejectReason::from(error).number()
         })
     }
 
@@ -167,13 +167,13 @@ impl OwnSlot {
     fn begin(&mut self, running: &Image) -> Result<(), UpdateError> {
         self.update = None;
         let header = self.piece.first_chunk().ok_or(UpdateError::Length)?;
-        let update = Update::begin(&mut self.journal, &mut self.slots, running, header)?;
+        let update = ImageUpdate::begin(&mut self.journal, &mut self.slots, running, header)?;
         defmt::info!("update of {=u32} bytes begins", update.image().header.length);
         self.update = Some(update);
         Ok(())
     }
 
-    fn append_piece(&mut self) -> Result<(), UpdateError> {
+    fn append_chunk(&mut self) -> Result<(), UpdateError> {
         self.update.as_mut().ok_or(UpdateError::Length)?.append(&mut self.slots, &self.piece)
     }
 
@@ -194,7 +194,7 @@ impl OwnSlot {
         );
         self.healthy_ms = if is_healthy { self.healthy_ms.saturating_add(elapsed_ms) } else { 0 };
         let status = self.journal.state().status(image.header.slot, image.tag);
-        if self.healthy_ms < CONFIRM_TIME_MS || status == ImageStatus::Confirmed {
+        if self.healthy_ms < CONFIRMATION_TIME_MS || status == ImageStatus::Confirmed {
             return;
         }
         self.healthy_ms = 0;

@@ -23,16 +23,16 @@ const LOG_FLUSH_CYCLES: u32 = 1_680_000;
 
 /// MMARVALID, BFARVALID, and MSTKERR with STKERR (Armv7-M manual, B3.2.15).
 const MMARVALID: u32 = 1 << 7;
-const BUS_ADDRESS_VALID: u32 = 1 << 15;
-const STACKING_ERROR: u32 = 1 << 4 | 1 << 12;
+const BFARVALID: u32 = 1 << 15;
+const STACKING_ERROR_MASK: u32 = 1 << 4 | 1 << 12;
 
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
-    static PANICKED: AtomicBool = AtomicBool::new(false);
+    static HAS_PANICKED: AtomicBool = AtomicBool::new(false);
 
     interrupt::disable();
     // A panic inside the logger would panic again here, for ever.
-    if !PANICKED.swap(true, Ordering::Relaxed) {
+    if !HAS_PANICKED.swap(true, Ordering::Relaxed) {
         crash_record::write(StopReason::Panic, CoreRegisters::default(), info.location());
         // The place and not the words: these would bring the formatting of `core` into the image.
         if let Some(place) = info.location() {
@@ -58,16 +58,17 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     };
     let address = match status {
         _ if status & MMARVALID != 0 => memory,
-        _ if status & BUS_ADDRESS_VALID != 0 => bus,
+        _ if status & BFARVALID != 0 => bus,
         _ => 0,
     };
-    let why = if status & STACKING_ERROR != 0 || mpu::STACK_GUARD.contains(&address) {
+    let why = if status & STACKING_ERROR_MASK != 0 || mpu::STACK_GUARD_RANGE.contains(&address) {
         StopReason::StackOverflow
     } else {
         StopReason::HardFault
     };
     // What was not stacked is not there.
-    let (pc, lr) = if status & STACKING_ERROR == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
+    let (pc, lr) =
+        if status & STACKING_ERROR_MASK == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
     crash_record::write(why, CoreRegisters { pc, lr, status, address }, None);
     SCB::sys_reset()
 }

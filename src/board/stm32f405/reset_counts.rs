@@ -9,13 +9,13 @@ use trueup_link::status::ResetReason;
 
 const RESET_REASON_COUNT: usize = ResetReason::COUNT;
 /// A counter for each reason, and their checksum.
-const WORD_COUNT: usize = RESET_REASON_COUNT + 1;
+const RESET_RECORD_WORDS: usize = RESET_REASON_COUNT + 1;
 /// The checksum of nothing but zeros: so that cleared RAM is no count.
 const CHECKSUM_SEED: u32 = 0x7265_7365;
 
 #[unsafe(link_section = ".uninit.resets")]
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-static RESET_COUNTS: MaybeUninit<[AtomicU32; WORD_COUNT]> = MaybeUninit::uninit();
+static RESET_COUNTS: MaybeUninit<[AtomicU32; RESET_RECORD_WORDS]> = MaybeUninit::uninit();
 
 fn checksum(counts: &[u32]) -> u32 {
     counts.iter().fold(CHECKSUM_SEED, |sum, count| sum.rotate_left(5) ^ count)

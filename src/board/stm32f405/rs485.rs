@@ -27,13 +27,13 @@ use super::super::PlcInterface;
 const PULL_UP_SETTLE_CYCLES: u32 = 1_680;
 
 /// CR2: STOP; CR1: UE, RXNEIE, TE, RE; M; PCE.
-const TWO_STOP_BITS: u32 = 0b10 << 12;
-const UART_ENABLE_BITS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
-const WORD_LENGTH_9_BITS: u32 = 1 << 12;
-const PARITY_ENABLE: u32 = 1 << 10;
+const CR2_STOP_2: u32 = 0b10 << 12;
+const CR1_ENABLE_MASK: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
+const CR1_M: u32 = 1 << 12;
+const CR1_PCE: u32 = 1 << 10;
 
 /// The pins.
-pub struct Pins {
+pub struct Rs485Pins {
     pub transmit: PB10,
     pub receive: PB11,
     pub drive: PB12,
@@ -44,7 +44,7 @@ pub struct Pins {
 }
 
 /// Sets up the line and its clock.
-pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> PlcInterface {
+pub fn start(usart: USART3, timer: TIM5, pins: Rs485Pins, rcc: &mut Rcc) -> PlcInterface {
     let rate = pins.rate.into_pull_up_input().erase();
     let parity = pins.parity.into_pull_up_input().erase();
     let address = [
@@ -72,12 +72,9 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> PlcInterf
     let set =
         |register: *mut u16, bits: u32| unsafe { register.cast::<u32>().write_volatile(bits) };
     set(usart.brr().as_ptr(), divider);
-    set(usart.cr2().as_ptr(), if has_parity { 0 } else { TWO_STOP_BITS });
+    set(usart.cr2().as_ptr(), if has_parity { 0 } else { CR2_STOP_2 });
     // The parity is the ninth bit of the word.
-    set(
-        usart.cr1().as_ptr(),
-        UART_ENABLE_BITS | if has_parity { WORD_LENGTH_9_BITS | PARITY_ENABLE } else { 0 },
-    );
+    set(usart.cr1().as_ptr(), CR1_ENABLE_MASK | if has_parity { CR1_M | CR1_PCE } else { 0 });
 
     TIM5::enable(rcc);
     TIM5::reset(rcc);

@@ -48,7 +48,7 @@ use super::{
 /// Conversions in one second.
 const SAMPLES_PER_SECOND: u32 = 20_000;
 /// [`CODES_PER_BLOCK`] as the DMA counts it.
-const BLOCK_LENGTH: u16 = CODES_PER_BLOCK as u16;
+const DMA_BLOCK_LENGTH: u16 = CODES_PER_BLOCK as u16;
 /// The channel of the internal reference, VREFINT (section 13.3.3).
 const VREFINT_CHANNEL: u8 = 17;
 /// Between the end of the sensor's conversion and the next one, in microseconds.
@@ -193,7 +193,7 @@ impl Samples {
             self.arm();
             return None;
         }
-        self.taken = self.taken.wrapping_add(u32::from(BLOCK_LENGTH));
+        self.taken = self.taken.wrapping_add(u32::from(DMA_BLOCK_LENGTH));
         Some(Block { codes, speed: None, temperatures: None })
     }
 
@@ -233,7 +233,7 @@ impl Samples {
     /// worth of triggers have gone by since the last block was taken.
     fn is_late(&self) -> bool {
         let triggers = self.chain.tim2.cnt().read().cnt().bits();
-        triggers.wrapping_sub(self.taken) >= 2 * u32::from(BLOCK_LENGTH)
+        triggers.wrapping_sub(self.taken) >= 2 * u32::from(DMA_BLOCK_LENGTH)
     }
 
     fn count_lost_block(&mut self) {
@@ -281,13 +281,13 @@ impl Samples {
         let [first, second] = DMA_BUFFERS.each_ref().map(|buffer| buffer.as_ptr() as u32);
         let stream = self.chain.dma.st(0);
         // SAFETY: the stream is off. It will read the data register of the ADC and write
-        // `BLOCK_LENGTH` half-words to each buffer; both are static, of that size, and atomic.
+        // `DMA_BLOCK_LENGTH` half-words to each buffer; both are static, of that size, and atomic.
         unsafe {
             stream.par().write(|w| w.pa().bits(source));
             stream.m0ar().write(|w| w.m0a().bits(first));
             stream.m1ar().write(|w| w.m1a().bits(second));
         }
-        stream.ndtr().write(|w| w.ndt().set(BLOCK_LENGTH));
+        stream.ndtr().write(|w| w.ndt().set(DMA_BLOCK_LENGTH));
         // Direct mode, no FIFO.
         stream.fcr().reset();
         stream.cr().write(|w| {

@@ -153,7 +153,7 @@ impl SerialOut {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
     /// for more. Where the DMA is dead nothing is taken: it is for [`Self::transmit_polled`].
     pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
-        let Some(outgoing) = &mut self.outgoing else { return TransmitState::More };
+        let Some(outgoing) = &mut self.outgoing else { return TransmitState::MorePending };
         if outgoing.is_progressing() {
             self.moved_ms = now_ms;
             return TransmitState::Busy;
@@ -168,7 +168,7 @@ impl SerialOut {
             return TransmitState::Busy;
         }
         self.moved_ms = now_ms;
-        if outgoing.send(fill) == 0 { TransmitState::All } else { TransmitState::Busy }
+        if outgoing.send(fill) == 0 { TransmitState::Idle } else { TransmitState::Busy }
     }
 
     /// A byte that the transmitter does not take is dropped: a dead one must not hang us.
@@ -181,6 +181,6 @@ impl SerialOut {
         let mut piece = [0; MAX_POLLED_BYTES];
         let count = fill(&mut piece);
         piece[..count].iter().for_each(|byte| self.write_byte(*byte));
-        if count < MAX_POLLED_BYTES { TransmitState::All } else { TransmitState::More }
+        if count < MAX_POLLED_BYTES { TransmitState::Idle } else { TransmitState::MorePending }
     }
 }

@@ -2,7 +2,7 @@
 
 use core::ptr::read_volatile;
 
-use super::{mpu::STACK, ram_test::STACK_PAINT_PATTERN};
+use super::{mpu::STACK_RANGE, ram_test::STACK_PAINT_PATTERN};
 
 /// Words that are looked at in a turn, so that a look at the whole stack takes 0.8 s.
 const WORDS_PER_STEP: u32 = 256;
@@ -16,7 +16,7 @@ pub struct StackWatermark {
 
 impl StackWatermark {
     pub const fn new() -> Self {
-        Self { at: STACK.start, lowest: STACK.end }
+        Self { at: STACK_RANGE.start, lowest: STACK_RANGE.end }
     }
 
     /// Looks at the next piece, and gives how many bytes were never used as far as it is known.
@@ -35,8 +35,8 @@ impl StackWatermark {
             }
         }
         if self.at >= self.lowest {
-            self.at = STACK.start;
+            self.at = STACK_RANGE.start;
         }
-        u16::try_from(self.lowest - STACK.start).unwrap_or(u16::MAX)
+        u16::try_from(self.lowest - STACK_RANGE.start).unwrap_or(u16::MAX)
     }
 }

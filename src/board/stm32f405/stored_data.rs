@@ -10,14 +10,14 @@ use trueup_store::{
 use super::{
     super::{
         CalibrationBuffer,
-        references::{self, StoredState},
+        reference_store::{self, StoredState},
     },
     Flash, Store, Watchdog,
 };
 
 /// Calibration that the host compiled from the machine file, linked into the image. One that was loaded over it
 /// counts instead.
-static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
+static BUILT_IN_CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
 
 /// It is the example's, because the image was built without a machine file.
 const IS_EXAMPLE_CALIBRATION: bool = matches!(env!("TRUEUP_EXAMPLE").as_bytes(), b"1");
@@ -47,16 +47,17 @@ impl StoredData {
         watchdog: &mut Watchdog,
     ) -> Self {
         let [calibrations, flash] = Flash::split(controller);
-        let own = calibration::validate_blob(CALIBRATION).map_or(0, calibration::calibration_crc);
+        let own = calibration::validate_blob(BUILT_IN_CALIBRATION)
+            .map_or(0, calibration::calibration_crc);
         let base = (!IS_EXAMPLE_CALIBRATION).then_some(own);
         let (store, loaded, is_older) = Store::open(calibrations, base, buffer, || watchdog.feed());
         watchdog.feed();
         let is_example = IS_EXAMPLE_CALIBRATION && loaded.is_none();
-        let blob = calibration::validate_blob(loaded.unwrap_or(CALIBRATION));
+        let blob = calibration::validate_blob(loaded.unwrap_or(BUILT_IN_CALIBRATION));
         let calibration = blob
             .and_then(|blob| Ok((calibration::calibration_crc(blob), calibration::decode(blob)?)));
         let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
-        let references = references::open(flash, identity, || watchdog.feed());
+        let references = reference_store::open(flash, identity, || watchdog.feed());
         watchdog.feed();
         let kept = &references.1;
         let is_new = loaded.is_none() && kept.standing.is_none() && kept.named.is_none();

@@ -25,9 +25,9 @@ use stm32f4xx_hal::{
 use trueup_core::{
     calibration::MainsFrequency,
     temperature_channels::RawTemperatures,
-    thermometer::{RawReading, Thermometer},
+    thermometer::{RawTemperatureReading, Thermometer},
 };
-use trueup_max31865::{Converter, ConverterReading, MIN_POLL_PERIOD_MS};
+use trueup_max31865::{ConverterReading, MIN_POLL_PERIOD_MS, Max31865};
 
 use super::{super::TEMPERATURE_CHANNEL_COUNT, linear_inputs::LinearInputs, poll_until};
 
@@ -55,7 +55,7 @@ pub type ChipSelectPins = (PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7);
 /// One channel.
 struct Channel {
     select: ErasedPin<Output>,
-    converter: Converter,
+    converter: Max31865,
     /// Its thermometer in the calibration.
     thermometer: Option<Thermometer>,
     /// How often it was another kind of reading than before.
@@ -98,7 +98,7 @@ pub fn start(
     let mut thermometers = thermometers.into_iter();
     let channels = selects.map(|select| Channel {
         select,
-        converter: Converter::new(mains),
+        converter: Max31865::new(mains),
         thermometer: thermometers.next().flatten(),
         changes: 0,
     });
@@ -130,7 +130,7 @@ impl Thermometers {
         Some(core::array::from_fn(|number| {
             let channel = &self.channels[number];
             if channel.is_linear() {
-                linear.map_or(RawReading::NONE, |all| all[number])
+                linear.map_or(RawTemperatureReading::NONE, |all| all[number])
             } else {
                 channel.converter.reading().to_raw_reading()
             }

@@ -1,12 +1,12 @@
 //! The watchdog, and what the last reset came from (sections 21 and 7.3.21).
 
 #[path = "../../bin/boot/watchdog.rs"]
-mod limit;
+mod independent_watchdog;
 
 use trueup_link::status::ResetReason;
 
 use super::crash_record::{CrashRecord, StopReason};
-use limit::WatchdogTimeout;
+use independent_watchdog::WatchdogTimeout;
 use stm32f4xx_hal::pac::{DBGMCU, IWDG, RCC, iwdg::RegisterBlock};
 
 /// Cause of the last reset.
@@ -73,7 +73,7 @@ const RUN_TIMEOUT: WatchdogTimeout = WatchdogTimeout { prescaler: 6, reload: 12 
 ///
 /// | limit | by its oscillator, 47…32…17 kHz (data sheet) | holds |
 /// |---|---|---|
-/// | [`limit::START_TIMEOUT`] | 0.34…0.50…0.94 s | from the end of the boot program on until the tasks run; each part of the start feeds once |
+/// | [`independent_watchdog::IMAGE_START_TIMEOUT`] | 0.34…0.50…0.94 s | from the end of the boot program on until the tasks run; each part of the start feeds once |
 /// | [`RUN_TIMEOUT`] | 71…104…196 ms | then: ten turns of the supervisor that feeds it, at least seven; well below the 500 ms after which either end of the link counts the other as lost |
 /// | [`ERASE_TIMEOUT`] | 5.4…8.0…15 s | while a sector is erased or an option byte written, and no code besides |
 pub struct Watchdog(IWDG);
@@ -81,14 +81,14 @@ pub struct Watchdog(IWDG);
 impl Watchdog {
     /// Starts it, first of all parts; it pauses while a debugger halts the core.
     pub fn start(iwdg: IWDG, dbgmcu: &DBGMCU) -> Self {
-        limit::start(&iwdg, dbgmcu, limit::START_TIMEOUT);
+        independent_watchdog::start(&iwdg, dbgmcu, independent_watchdog::IMAGE_START_TIMEOUT);
         Self(iwdg)
     }
 
     /// The core has 16 MHz and not 144 or more: the limit of the boot program, 0.54…0.80…1.51 s, because the
     /// two stores are read as slowly.
     pub fn set_slow_clock_timeout(&mut self) {
-        limit::set_timeout(&self.0, limit::BOOT_TIMEOUT);
+        independent_watchdog::set_timeout(&self.0, independent_watchdog::BOOT_TIMEOUT);
     }
 
     /// Does `work`, which may take up to 5.4 s in which no code feeds it.
@@ -98,12 +98,12 @@ impl Watchdog {
 
     /// The start is done: from now on it is fed by the supervisor.
     pub fn set_run_timeout(&mut self) {
-        limit::set_timeout(&self.0, RUN_TIMEOUT);
+        independent_watchdog::set_timeout(&self.0, RUN_TIMEOUT);
     }
 
     /// Lets it wait anew.
     pub fn feed(&mut self) {
-        limit::feed(&self.0);
+        independent_watchdog::feed(&self.0);
     }
 }
 
@@ -119,8 +119,8 @@ fn with_extended_timeout<R>(iwdg: &RegisterBlock, work: impl FnOnce() -> R) -> R
         prescaler: iwdg.pr().read().pr().bits(),
         reload: iwdg.rlr().read().rl().bits(),
     };
-    limit::set_timeout(iwdg, ERASE_TIMEOUT);
+    independent_watchdog::set_timeout(iwdg, ERASE_TIMEOUT);
     let result = work();
-    limit::set_timeout(iwdg, before);
+    independent_watchdog::set_timeout(iwdg, before);
     result
 }

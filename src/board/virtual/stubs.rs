@@ -1,7 +1,7 @@
 //! Parts that an emulated board does not need.
 
 use trueup_modbus::rtu::RxByte;
-use trueup_store::retained::RetainedCopies;
+use trueup_store::retained_state::RetainedCopies;
 
 /// The host watches over its emulator.
 pub struct Watchdog;
@@ -29,7 +29,7 @@ impl BackupDomain {
 pub struct BrownOut;
 
 impl BrownOut {
-    pub fn raise_when_idle(&mut self, _gives_offset: bool, _watchdog: &mut Watchdog) {}
+    pub fn raise_level_when_idle(&mut self, _gives_offset: bool, _watchdog: &mut Watchdog) {}
 }
 
 /// An emulator is never damaged.

@@ -7,20 +7,20 @@
 //! ```
 #![forbid(unsafe_code)]
 
-mod advice;
-mod page;
+mod html_report;
 mod paired_readings;
+mod recommended_changes;
 
 use serde::Serialize;
 use trueup_machine::{
     InputFileError, Machine, RunFile,
     applied_offsets::{FactorEstimate, OffsetApplication},
-    file::Quantity,
+    machine_file::Quantity,
 };
 use trueup_numerics::line::ErrorStatistics;
 
-pub use advice::{Advice, ConstantChange};
 use paired_readings::{PairedReadings, RunSegment};
+pub use recommended_changes::{Advice, ConstantChange};
 pub use trueup_page::Provenance;
 
 /// Requirements of an acceptance test.
@@ -114,13 +114,13 @@ impl AcceptanceResult {
     /// Returns the printable page, of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
     pub fn render_html(&self, name: &str, origin: &Provenance, next: &[String]) -> String {
-        page::render_html(self, name, origin, next)
+        html_report::render_html(self, name, origin, next)
     }
 
     /// Returns the error in both runs as a picture that stands alone, SVG.
     #[must_use]
     pub fn render_chart_svg(&self) -> String {
-        page::build_error_chart(self).to_standalone_svg()
+        html_report::build_error_chart(self).to_standalone_svg()
     }
 }
 
@@ -164,7 +164,7 @@ pub fn evaluate_acceptance(
     }
     let applied = pair.offset_application();
     let wrong = match applied {
-        OffsetApplication::Otherwise(factor) => Some(factor),
+        OffsetApplication::OtherFactor(factor) => Some(factor),
         _ => None,
     };
     unmet.extend(wrong.as_ref().map(FactorEstimate::describe));
@@ -173,7 +173,7 @@ pub fn evaluate_acceptance(
     let (advice, adjusted) = match wrong {
         Some(_) => (Advice::cnc_troubleshooting(), None),
         None if passed => (Advice::no_change(), None),
-        None => advice::recommend_changes(&pair, off, believed)?,
+        None => recommended_changes::recommend_changes(&pair, off, believed)?,
     };
     Ok(AcceptanceResult {
         passed,

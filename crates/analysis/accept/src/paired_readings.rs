@@ -4,12 +4,12 @@ use std::{borrow::Cow, collections::BTreeMap};
 
 use serde::Serialize;
 
-use trueup_compare::compare::common_quantity;
+use trueup_compare::run_comparison::resolve_common_quantity;
 use trueup_machine::{
     InputFileError, Location, Machine, RunFile,
     applied_offsets::{OffsetApplication, PairedRuns, UncompensatedRun, predict_um},
-    file::Quantity,
-    tool::TOOL_COLUMN,
+    machine_file::Quantity,
+    tool_column::TOOL_COLUMN,
 };
 use trueup_numerics::{
     repeats::{self, cycle_numbers, find_gross_errors, group_positions},
@@ -19,7 +19,7 @@ use trueup_numerics::{
 use crate::ErrorSummary;
 
 /// Parts that a run is looked at in.
-const SEGMENT_COUNT: usize = 4;
+const RUN_SEGMENT_COUNT: usize = 4;
 /// Speeds that differ by more than this share are another working condition: Smax belongs to one.
 const RELATIVE_SPEED_TOLERANCE: f64 = 0.02;
 /// Positions that differ by more than this are others, in mm: a tenth of the finest spacing in use.
@@ -184,7 +184,8 @@ impl PairedReadings {
         requested: Option<Quantity>,
         machine: Option<&Machine>,
     ) -> Result<Self, InputFileError> {
-        let quantity = common_quantity(on, (off, "the run without compensation"), requested)?;
+        let quantity =
+            resolve_common_quantity(on, (off, "the run without compensation"), requested)?;
         let side = |run| RunSeries::from_run(run, quantity, machine);
         let mut sides = [side(off)?, side(on)?];
         let mut pair = Self {
@@ -223,11 +224,11 @@ impl PairedReadings {
             }
             _ => pair.pair_by_row([off, on], sides, "row")?,
         }
-        if pair.at.len() < 2 * SEGMENT_COUNT {
+        if pair.at.len() < 2 * RUN_SEGMENT_COUNT {
             let rule = format!(
                 "{} readings in common are too few, {} are needed",
                 pair.at.len(),
-                2 * SEGMENT_COUNT
+                2 * RUN_SEGMENT_COUNT
             );
             return Err(InputFileError::new(Location::start_of_file(on.path()), rule));
         }
@@ -302,7 +303,7 @@ impl PairedReadings {
             offset_um: &self.offset_um,
             predicted_um: &self.predicted_um,
         }
-        .estimate_application()
+        .estimate_offset_application()
     }
 
     /// Row by row: both runs went to the same places.
@@ -383,12 +384,12 @@ impl PairedReadings {
         let mut order: Vec<usize> = (0..self.at.len()).collect();
         order.sort_by(|a, b| self.at[*a].total_cmp(&self.at[*b]));
         let (low, high) = (self.at[order[0]], self.at[order[order.len() - 1]]);
-        let width = (high - low) / SEGMENT_COUNT as f64;
+        let width = (high - low) / RUN_SEGMENT_COUNT as f64;
         let edge = |part: usize| low + width * part as f64;
-        (0..SEGMENT_COUNT)
+        (0..RUN_SEGMENT_COUNT)
             .filter_map(|part| {
                 let is_in = |at: f64| {
-                    at >= edge(part) && (at < edge(part + 1) || part + 1 == SEGMENT_COUNT)
+                    at >= edge(part) && (at < edge(part + 1) || part + 1 == RUN_SEGMENT_COUNT)
                 };
                 let of = |um: &[f64]| -> Vec<f64> {
                     order.iter().filter(|row| is_in(self.at[**row])).map(|row| um[*row]).collect()

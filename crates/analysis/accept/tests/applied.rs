@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
     [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\nlag_s = 0.0\n\
@@ -14,7 +14,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nso
 
 /// Returns a warm-up by 15 K; `factor`: of an engaged bridge, and the machine does `gain` of what its file says.
 fn run(quantity: &str, gain: f64, factor: Option<f64>, noise_um: f64, seed: u64) -> RunFile {
-    let mut generator = Generator::new(seed);
+    let mut generator = RandomGenerator::new(seed);
     let axis = if quantity == "dx" { "x" } else { "z" };
     let mut text =
         format!("time_s,x_mm,temp_a_c,offset_{axis}_um,quality,measured_{quantity}_um\n");

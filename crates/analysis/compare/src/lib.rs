@@ -2,14 +2,14 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`compare`] | two runs, place by place: the difference, its interval, and the law that it follows |
+//! | [`run_comparison`] | two runs, place by place: the difference, its interval, and the law that it follows |
 //! | [`trend`] | a constant over dated files: how fast it changes, and when to measure again |
-//! | [`dated`] | which constants a file holds, and of which day it is |
-//! | [`page`] | both as pages with pictures |
+//! | [`dated_constants`] | which constants a file holds, and of which day it is |
+//! | [`html_report`] | both as pages with pictures |
 #![forbid(unsafe_code)]
 
-pub mod compare;
-pub mod dated;
-pub mod page;
+pub mod dated_constants;
+pub mod html_report;
+pub mod run_comparison;
 pub mod thermal_expansion;
 pub mod trend;

@@ -1,6 +1,6 @@
 //! Runs at another temperature: the expansion that the machine file knows is taken off before runs are compared.
 
-use trueup_machine::{Machine, RunFile, file::LinearAxis, predict::Predictor};
+use trueup_machine::{Machine, RunFile, machine_file::LinearAxis, predict::RunPredictor};
 
 /// Returns `run` with the expansion of the axes by `machine` taken off what was measured, and a sentence for the user.
 #[must_use]
@@ -48,7 +48,7 @@ pub fn remove_thermal_expansion(run: &RunFile, machine: Option<&Machine>) -> (Ru
     for axis in &mut only.axes {
         (axis.pitch, axis.backlash, axis.dual) = (None, None, None);
     }
-    let Ok(rows) = Predictor::new(&only, run) else {
+    let Ok(rows) = RunPredictor::new(&only, run) else {
         return (
             as_it_is(),
             "No expansion is taken off: the run has no column with the position.".into(),

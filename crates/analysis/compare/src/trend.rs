@@ -12,7 +12,7 @@
 use serde::Serialize;
 use trueup_numerics::{least_squares::GivensQr, t_quantile};
 
-use crate::dated::{ConstantEstimate, EpochDay, format_day};
+use crate::dated_constants::{ConstantEstimate, EpochDay, format_day};
 
 /// Days of a year.
 const DAYS_PER_YEAR: f64 = 365.25;
@@ -34,7 +34,7 @@ pub struct TrendPoint {
 
 /// A constant over its days.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Trend {
+pub struct ConstantTrend {
     /// Its key in the machine file.
     pub name: String,
     /// In the order of the days.
@@ -110,7 +110,7 @@ pub fn fit_trends(
     days: &[(EpochDay, Vec<ConstantEstimate>)],
     limit: Option<f64>,
     today: Option<EpochDay>,
-) -> Vec<Trend> {
+) -> Vec<ConstantTrend> {
     let mut days: Vec<&(EpochDay, Vec<ConstantEstimate>)> = days.iter().collect();
     days.sort_by_key(|(day, _)| *day);
     let mut names: Vec<&str> = Vec::new();
@@ -134,7 +134,7 @@ fn fit_trend(
     found: &[(EpochDay, ConstantEstimate)],
     limit: Option<f64>,
     today: Option<EpochDay>,
-) -> Trend {
+) -> ConstantTrend {
     let first = found.first().map_or(0, |(day, _)| *day);
     let point = |(day, constant): &(EpochDay, ConstantEstimate)| TrendPoint {
         date: format_day(*day),
@@ -146,7 +146,8 @@ fn fit_trend(
     let last = found.last().map_or(0, |(day, _)| *day);
     let mut dates: Vec<EpochDay> = found.iter().map(|(day, _)| *day).collect();
     dates.dedup();
-    let mut it = Trend { name: name.into(), points, matters: limit, ..Trend::default() };
+    let mut it =
+        ConstantTrend { name: name.into(), points, matters: limit, ..ConstantTrend::default() };
     let mut line = GivensQr::new(2);
     it.points
         .iter()

@@ -6,8 +6,10 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_compare::{
-    compare::{RunComparison, compare_runs},
-    dated::{ConstantEstimate, RunConstants, estimate_run_constants, find_day_in_name},
+    dated_constants::{
+        ConstantEstimate, RunConstantEstimates, estimate_run_constants, find_date_in_file_name,
+    },
+    run_comparison::{RunComparison, compare_runs},
     trend::fit_trends,
 };
 use trueup_machine::RunFile;
@@ -125,7 +127,7 @@ fn runs_without_places_in_common_are_refused() {
 fn wear_is_a_line_with_an_interval_and_a_date() {
     // 4 µm of backlash, and 1.5 µm more each year, over two years.
     let dates = ["2024-01-10", "2024-07-10", "2025-01-10", "2025-07-10", "2026-01-10"];
-    let day = |date: &str| find_day_in_name(date).expect("a date");
+    let day = |date: &str| find_date_in_file_name(date).expect("a date");
     let first = day(dates[0]);
     let days: Vec<(i64, Vec<ConstantEstimate>)> = dates
         .into_iter()
@@ -210,7 +212,7 @@ fn one_bad_reading_moves_no_backlash_of_a_dated_run() {
         text += &format!("{x},{dir},{:.2}\n", if dir < 0.0 { 6.0 } else { 0.0 } + noise + bad);
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let RunConstants { constants, outliers } = estimate_run_constants(&run);
+    let RunConstantEstimates { constants, outliers } = estimate_run_constants(&run);
     let width = constants.iter().find(|constant| constant.name.contains("width")).expect("a width");
     assert!((width.value - 6.0).abs() < 0.3, "{width:?}");
     assert!(outliers.len() == 1 && outliers[0].1 > 10.0, "{outliers:?}");

@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::{BoardTerm, DataView, Effect, Quantity, SpectrumVariable, StartValues, peak_to_peak},
-    file::{AxisModel, ElongationSource, Spindle},
+    machine_file::{AxisModel, ElongationSource, Spindle},
 };
 use trueup_numerics::parallel::parallel_map;
 
@@ -13,7 +13,7 @@ use crate::{
     fit::FitProblem,
     model::Model,
     periodogram,
-    term_kind::{Curve, ModelPart, TermKind, own_axis_thermal_law},
+    term_kind::{LackOfFitCurve, ModelPart, TermKind, own_axis_thermal_law},
 };
 
 /// Most speeds at which a curve over them may bend.
@@ -31,18 +31,18 @@ pub(crate) struct CandidateTerm {
 
 /// Returns what may be added to `model` but for what takes two recorded inputs together and what depends on the clock
 /// alone, and the terms of the machine file that may have become wrong.
-pub(crate) fn simple_candidates(
+pub(crate) fn single_input_candidates(
     problem: &FitProblem,
     model: &Model,
     residual: &[f64],
 ) -> Vec<CandidateTerm> {
-    let mut all = simple_and_clock_candidates(problem, model, residual);
-    all.retain(|candidate| !candidate.kind.is_clock_periodic());
+    let mut all = non_interaction_candidates(problem, model, residual);
+    all.retain(|candidate| !candidate.kind.is_periodic_in_time());
     all
 }
 
 /// Returns the same, with what is periodic in time.
-pub(crate) fn simple_and_clock_candidates(
+pub(crate) fn non_interaction_candidates(
     problem: &FitProblem,
     model: &Model,
     residual: &[f64],
@@ -307,7 +307,7 @@ impl DataView for CandidateContext<'_> {
     ) -> Option<StartValues> {
         let at = self.wave_coordinate(over)?;
         let (frequency, searched) =
-            periodogram::spectrum_peak(&at, self.residual, least_turns, frequencies)?;
+            periodogram::find_spectrum_peak(&at, self.residual, least_turns, frequencies)?;
         Some(StartValues { starts: vec![vec![1.0 / frequency]], searched })
     }
 
@@ -325,7 +325,7 @@ fn is_varying(data: &DataTable, column: &str) -> bool {
 /// Curves over each column: no causes, but tests of structure. Next to them what no single column
 /// shows: a curve over one position that grows with another (an angle of a guide, times an arm), a
 /// growth that is another one at other speeds, what comes and goes after a reversal.
-pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
+pub(crate) fn propose_curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
     let data = &problem.data;
     let own = data.setting.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
     let turns =
@@ -353,7 +353,7 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
         let least = if times.is_some() || most == 2 { 2 } else { 3 };
         (knots.len() >= least).then(|| {
             let (column, times) = (column.to_string(), times.map(String::from));
-            let kind = TermKind::Curve(Curve { column, knots, by_direction, times });
+            let kind = TermKind::Curve(LackOfFitCurve { column, knots, by_direction, times });
             CandidateTerm { kind, settings: vec![Vec::new()], searched: 0.0 }
         })
     };
@@ -386,13 +386,13 @@ pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
         .into_iter()
         .flatten()
         .collect();
-    all.extend(speed_threshold_candidates(data));
+    all.extend(propose_speed_threshold_candidates(data));
     all
 }
 
 /// Another scale of what the model says from a speed on. A curve of a value for each speed says that too, but costs
 /// more than it gains.
-fn speed_threshold_candidates(data: &DataTable) -> Vec<CandidateTerm> {
+fn propose_speed_threshold_candidates(data: &DataTable) -> Vec<CandidateTerm> {
     let Some(speed_rpm) =
         data.spindle_rpm().filter(|_| is_varying(data, PREDICTED_ELONGATION_COLUMN))
     else {
@@ -404,7 +404,7 @@ fn speed_threshold_candidates(data: &DataTable) -> Vec<CandidateTerm> {
         let (column, times) =
             ("spindle_rpm".to_string(), Some(PREDICTED_ELONGATION_COLUMN.to_string()));
         let knots = between.to_vec();
-        let kind = TermKind::Curve(Curve { column, knots, by_direction: false, times });
+        let kind = TermKind::Curve(LackOfFitCurve { column, knots, by_direction: false, times });
         CandidateTerm { kind, settings: vec![Vec::new()], searched }
     };
     knots.windows(2).map(from).collect()

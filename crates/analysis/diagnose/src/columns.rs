@@ -4,13 +4,13 @@ use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     effect::{ColumnSource, Input},
-    file::Quantity,
+    machine_file::Quantity,
     model::Lag,
 };
 
 use crate::{
     data::{ColumnGroup, DataTable, StatedTerm, forward_fill},
-    term_kind::{Curve, TermKind},
+    term_kind::{LackOfFitCurve, TermKind},
 };
 
 /// Returns what a part with these nonlinear values adds at each amplitude of 1, to a prediction `p` so far: of
@@ -116,7 +116,7 @@ fn fill_gaps(values: &[f64]) -> Cow<'_, [f64]> {
 }
 
 /// Returns what a curve adds at each of its knots.
-fn curve_basis_columns(curve: &Curve, data: &DataTable) -> Vec<Vec<f64>> {
+fn curve_basis_columns(curve: &LackOfFitCurve, data: &DataTable) -> Vec<Vec<f64>> {
     let knots = curve.knots.len() * if curve.by_direction { 2 } else { 1 };
     let mut columns = vec![vec![0.0; data.rows]; knots];
     for_each_knot_weight(curve, data, |row, knot, share| columns[knot][row] = share);
@@ -124,8 +124,12 @@ fn curve_basis_columns(curve: &Curve, data: &DataTable) -> Vec<Vec<f64>> {
 }
 
 /// Calls `add` with each row, the two knots around it, and what a knot of 1 adds there.
-fn for_each_knot_weight(curve: &Curve, data: &DataTable, mut add: impl FnMut(usize, usize, f64)) {
-    let Curve { column, knots, by_direction, times } = curve;
+fn for_each_knot_weight(
+    curve: &LackOfFitCurve,
+    data: &DataTable,
+    mut add: impl FnMut(usize, usize, f64),
+) {
+    let LackOfFitCurve { column, knots, by_direction, times } = curve;
     let reverse = |row: usize| data.own_approach_direction().is_some_and(|d| d[row] < 0.0);
     let values = fill_gaps(column_by_name(data, column).unwrap_or(&[]));
     let factor = times.as_ref().and_then(|column| column_by_name(data, column)).map(fill_gaps);

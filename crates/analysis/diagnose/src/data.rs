@@ -14,35 +14,35 @@
 //! | `drawn` | some of the rows, or means of neighbours, as a table |
 //! | `row_blocks` | means over rows that follow each other |
 //! | `groups` | neighbouring rows put together |
-//! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of some rows |
+//! | `lag`, `lag_power_series` | gaps filled, values behind a lag; the same for means of some rows |
 //! | `stretches` | the same of a long record |
 //! | `stepped` | what was stepped through all rows before |
 //! | `lag_cache` | temperatures behind lags, by whichever of these is enough |
 
 mod channel_faults;
-mod columns;
+mod data_table;
 mod from_runs;
-mod inputs;
-mod lag;
+mod input_columns;
 mod lag_cache;
 mod lag_column_cache;
+mod lag_filter;
+mod lag_power_series;
 mod lag_segments;
-mod lag_series;
 mod prediction;
 mod quantity;
-mod reversal;
+mod reversal_decay;
 mod row_blocks;
 mod row_groups;
 mod row_selection;
 mod single_pass;
 mod stated_terms;
-mod table;
+mod table_columns;
 
 pub(crate) use channel_faults::MIN_PAUSE_INTERVALS;
-pub(crate) use columns::{ColumnGroup, KnownColumn};
-pub(crate) use inputs::is_linearly_equivalent;
-pub(crate) use lag::{first_finite, forward_fill};
+pub(crate) use data_table::{DataTable, ParentTable, RowPredictions};
+pub(crate) use input_columns::is_linearly_equivalent;
+pub(crate) use lag_filter::{first_finite_or_zero, forward_fill};
 pub(crate) use quantity::resolve_quantity;
 pub(crate) use row_groups::RowGroups;
 pub(crate) use stated_terms::StatedTerm;
-pub(crate) use table::{DataTable, ParentTable, RowPredictions};
+pub(crate) use table_columns::{ColumnGroup, KnownColumn};

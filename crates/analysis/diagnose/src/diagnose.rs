@@ -5,13 +5,13 @@ use std::sync::Arc;
 use trueup_machine::{
     InputFileError, Machine, RunFile,
     effect::{DelayKind, ThermometerDelay},
-    file::Quantity,
+    machine_file::Quantity,
 };
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 use crate::{
-    candidates::curve_candidates,
-    data::{DataTable, RowGroups, first_finite, resolve_quantity},
+    candidates::propose_curve_candidates,
+    data::{DataTable, RowGroups, first_finite_or_zero, resolve_quantity},
     diagnosis::{
         Diagnosis, DiagnosisInputs,
         applied_factor::BridgeOffsets,
@@ -19,17 +19,17 @@ use crate::{
         hold_out::{HoldOut, describe_duplicate_hold_outs},
     },
     fit::{FitProblem, FittedModel, fit},
-    judgement::{Judgement, judge_terms},
+    judgement::{TermJudgement, judge_terms},
     model::Model,
     outliers::{self, ExcludedRows},
-    search::{SearchOutcome, SearchScope, initial_model, lack_of_fit::with_curves, search},
+    search::{SearchOutcome, SearchScope, initial_model, lack_of_fit::add_best_curves, search},
     term_kind::ModelPart,
 };
 
 /// Groups that the search works on where there is time alone; rows beyond are averaged.
-const MAX_GROUPS: usize = 1000;
+const MAX_ROW_GROUPS: usize = 1000;
 /// Groups that are left where rows are put together for a late thermometer.
-const MIN_GROUPS: usize = 100;
+const MIN_ROW_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
 /// more rows this many are drawn by chance. The last fit is to all of them.
 const MAX_MOVING_AXIS_ROWS: usize = 3000;
@@ -101,17 +101,17 @@ pub fn diagnose_with_options(
     notes.extend(test.iter().flat_map(|test| test.data.notes.iter().cloned()));
     notes.extend(describe_duplicate_hold_outs(runs, holdout));
     // Repeats say before any cause is known which readings stand alone.
-    let mut answer = search_and_judge(&data, SearchScope::Composed, progress);
+    let mut answer = search_and_judge_terms(&data, SearchScope::Composed, progress);
     // What takes two inputs together is one of very many: it is the answer where it is claimed, else a simpler one is.
     if answer
         .judged
         .iter()
         .any(|judgement| judgement.cause().is_interaction() && !judgement.doubts.is_empty())
     {
-        answer = search_and_judge(&data, SearchScope::Simple, progress);
+        answer = search_and_judge_terms(&data, SearchScope::Simple, progress);
     }
-    let JudgedSearch { problem, found, aside, judged } = answer;
-    let known = outliers::judge_outliers(&data, &aside, || {
+    let JudgedSearchOutcome { problem, found, aside, judged } = answer;
+    let known = outliers::classify_outliers(&data, &aside, || {
         predict_with_and_without_curves(&data, &problem, &found)
     });
     let mut concluded = build_diagnosis(
@@ -127,20 +127,20 @@ pub fn diagnose_with_options(
 }
 
 /// The answer of a search, judged.
-struct JudgedSearch {
+struct JudgedSearchOutcome {
     problem: FitProblem,
     found: SearchOutcome,
     /// Rows that stand alone.
     aside: Vec<bool>,
-    judged: Vec<Judgement>,
+    judged: Vec<TermJudgement>,
 }
 
 /// Returns the answer of a search of this breadth, without the rows that stand alone.
-fn search_and_judge(
+fn search_and_judge_terms(
     data: &Arc<DataTable>,
     breadth: SearchScope,
     progress: &mut ProgressCallback<'_>,
-) -> JudgedSearch {
+) -> JudgedSearchOutcome {
     let mut aside = outliers::find_repeat_outliers(data, &Model::default().predict(data));
     let (mut problem, mut found) = run_search(data, &aside, None, breadth, progress);
     // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
@@ -156,7 +156,7 @@ fn search_and_judge(
     }
     progress("comparing with alternatives", 0.92);
     let judged = judge_terms(&problem, &found);
-    JudgedSearch { problem, found, aside, judged }
+    JudgedSearchOutcome { problem, found, aside, judged }
 }
 
 /// Returns what the answer predicts of each row, with curves over what it leaves and without: a law that no cause
@@ -166,7 +166,7 @@ fn predict_with_and_without_curves(
     problem: &FitProblem,
     found: &SearchOutcome,
 ) -> [Vec<f64>; 2] {
-    let rest = with_curves(problem, &found.fitted, &curve_candidates(problem));
+    let rest = add_best_curves(problem, &found.fitted, &propose_curve_candidates(problem));
     [rest.model.predict(data), found.fitted.model.predict(data)]
 }
 
@@ -192,21 +192,21 @@ fn run_search(
     let rows = used.iter().filter(|used| **used).count();
     let moves = data.setting.quantity.axis().is_some()
         && data.positions_mm().into_iter().flatten().any(|mm| {
-            let first = first_finite(mm);
+            let first = first_finite_or_zero(mm);
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
-    let size = if moves { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
+    let size = if moves { 1 } else { rows.div_ceil(MAX_ROW_GROUPS).max(1) };
     // Made when they are needed: of a million rows one by one they take 40 MB.
     let groups = || RowGroups::new(data, &used, size);
     let fewer = if moves && rows > MAX_MOVING_AXIS_ROWS {
-        let mut generator = Generator::new(rows as u64);
+        let mut generator = RandomGenerator::new(rows as u64);
         let is_drawn = |used: &bool| *used && generator.uniform_index(rows) < MAX_MOVING_AXIS_ROWS;
         let drawn: Vec<bool> = used.iter().map(is_drawn).collect();
         let few = data.subset(&drawn);
         let groups = RowGroups::new(&few, &few.used.clone(), 1);
         Some((few, groups))
     } else {
-        data.block_means(&groups())
+        data.average_within_groups(&groups())
     };
     let Some((few, of_few)) = fewer else {
         let problem = FitProblem::new(data.clone(), groups());
@@ -248,7 +248,7 @@ fn slope_window_rows(problem: &FitProblem, found: &SearchOutcome) -> Option<usiz
         return None;
     };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
-    let most = problem.groups.row_count() as usize / MIN_GROUPS;
+    let most = problem.groups.row_count() as usize / MIN_ROW_GROUPS;
     let size = (rows.ceil() as usize).min(most);
     (size > problem.groups.size).then_some(size)
 }

@@ -17,22 +17,22 @@
 //! | `solve` | the fit |
 //! | `spread` | how far the values may be off |
 
-mod bounds;
-mod cache;
+mod column_cache;
 mod covariance;
-mod growth;
-mod half_difference;
+mod growth_cache;
 mod jacobian;
-mod memo;
+mod levenberg_marquardt;
+mod memo_table;
+mod parameter_bounds;
 mod problem;
-mod solve;
-mod undetermined;
+mod split_half_difference;
+mod undetermined_parameters;
 
-pub(crate) use covariance::{ParameterCovariance, parameter_covariance};
-pub(crate) use half_difference::largest_half_difference;
+pub(crate) use covariance::{ParameterCovariance, estimate_parameter_covariance};
 pub(crate) use jacobian::{jacobian, part_derivatives};
+pub(crate) use levenberg_marquardt::{FittedModel, fit};
 pub(crate) use problem::FitProblem;
-pub(crate) use solve::{FittedModel, fit};
+pub(crate) use split_half_difference::find_largest_half_difference;
 
 /// The level of what is reported: of intervals and regions, of a floor, and the power of what would have been found (fixed
 /// form of the answer).

@@ -6,7 +6,7 @@
 use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
-    blocks::{Blocks, PairedComparison, RmsReduction, SEGMENT_COUNT, segment_indices},
+    block_resampling::{Blocks, PairedComparison, RmsReduction, SEGMENT_COUNT, segment_indices},
     parallel::parallel_map,
 };
 
@@ -34,7 +34,7 @@ pub(crate) enum FoldUnit {
     Files,
     Runs,
     /// Parts of a record.
-    Stretches,
+    Segments,
     /// Single rows.
     Readings,
 }
@@ -44,7 +44,7 @@ impl fmt::Display for FoldUnit {
         f.write_str(match self {
             Self::Files => "files",
             Self::Runs => "runs",
-            Self::Stretches => "stretches",
+            Self::Segments => "stretches",
             Self::Readings => "readings",
         })
     }
@@ -92,10 +92,10 @@ impl Folds {
             (
                 equal_activity_blocks(&problem.measured, SEGMENT_COUNT),
                 SEGMENT_COUNT,
-                FoldUnit::Stretches,
+                FoldUnit::Segments,
             )
         };
-        let otherwise = (unit == FoldUnit::Stretches)
+        let otherwise = (unit == FoldUnit::Segments)
             .then(|| (segment_indices(count, EQUAL_LENGTH_BLOCK_COUNT), EQUAL_LENGTH_BLOCK_COUNT));
         let blocks = Blocks::new(count, memory);
         Self { of_group, otherwise, count: count_folds, unit, blocks }
@@ -120,12 +120,17 @@ impl Folds {
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn.
     pub(crate) fn held_out_residuals(&self, problem: &FitProblem, model: &Model) -> Vec<f64> {
         let first = cached_fold_residuals(problem, model, &self.of_group, self.count);
-        self.average_residuals(problem, model, &first.0)
+        self.root_mean_square_residuals(problem, model, &first.0)
     }
 
     /// Returns the squares that are left in each group, on the average of both ways to cut a record; with the sign
     /// of the first.
-    fn average_residuals(&self, problem: &FitProblem, model: &Model, first: &[f64]) -> Vec<f64> {
+    fn root_mean_square_residuals(
+        &self,
+        problem: &FitProblem,
+        model: &Model,
+        first: &[f64],
+    ) -> Vec<f64> {
         let Some((of_group, count)) = &self.otherwise else { return first.to_vec() };
         let second = cached_fold_residuals(problem, model, of_group, *count);
         let mean = |(a, b): (&f64, &f64)| (0.5 * (a * a + b * b)).sqrt().copysign(*a);
@@ -154,7 +159,7 @@ impl Folds {
     }
 
     /// Returns the part of each group, from 0: the folds; of single readings neighbours are put together.
-    pub(crate) fn record_part_numbers(&self) -> Vec<usize> {
+    pub(crate) fn block_index_by_group(&self) -> Vec<usize> {
         let groups = self.of_group.len();
         if self.unit == FoldUnit::Readings {
             return segment_indices(groups, SEGMENT_COUNT.min(groups));
@@ -169,7 +174,7 @@ impl Folds {
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
         let first = cached_fold_residuals(problem, model, &self.of_group, self.count);
-        (self.average_residuals(problem, model, &first.0), first.1.clone())
+        (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
     }
 
     /// Returns what `after` leaves less of the squares than `before` in the last stretch of a record; none where
@@ -178,11 +183,11 @@ impl Folds {
         let rows = self.of_group.iter().zip(before).zip(after);
         let last = rows.filter(|((of, _), _)| **of == self.count - 1);
         let gain = last.map(|((_, b), a)| b * b - a * a).sum();
-        (self.unit == FoldUnit::Stretches).then_some(gain)
+        (self.unit == FoldUnit::Segments).then_some(gain)
     }
 
     /// Returns what `after` leaves less of the squares than `before`, both in groups, block by block.
-    pub(crate) fn paired_comparison(&self, before: &[f64], after: &[f64]) -> PairedComparison {
+    pub(crate) fn compare_paired(&self, before: &[f64], after: &[f64]) -> PairedComparison {
         self.blocks.compare_paired(before, after)
     }
 
@@ -240,8 +245,7 @@ fn cross_validate(
     count: usize,
 ) -> (Vec<f64>, Vec<Model>) {
     let folds: Vec<usize> = (0..count).collect();
-    let begun =
-        model.unsettled_start().map(|[start, _]| with_fixed_initial_state(problem, model, start));
+    let begun = model.unsettled_start().map(|[start, _]| fix_initial_state(problem, model, start));
     let fitted = parallel_map(&folds, problem.is_parallel_worthwhile(), |&fold| {
         let mask: Vec<bool> = of_group.iter().map(|&of| of != fold).collect();
         match &begun {
@@ -259,7 +263,7 @@ fn cross_validate(
 /// How far the machine had settled where a record begins cannot be predicted: the stretch with the start is predicted
 /// from the `start` that was fitted to the whole. Returns the problem less the effect of `start`, and the rest of the
 /// model.
-fn with_fixed_initial_state(
+fn fix_initial_state(
     problem: &FitProblem,
     model: &Model,
     start: &ModelPart,

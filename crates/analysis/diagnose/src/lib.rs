@@ -43,22 +43,22 @@ mod columns;
 mod data;
 mod diagnose;
 mod diagnosis;
+mod extension_terms;
 mod fit;
 mod folds;
-mod gain;
 mod judgement;
 mod machine_laws;
 mod model;
 mod named_causes;
 mod next_run;
 mod outliers;
-mod parameters;
+mod parameter_estimates;
 mod periodogram;
 mod predict;
 mod repeats;
 mod search;
+mod term_gain;
 mod term_kind;
-mod terms;
 
 use std::{
     io::{self, Write},
@@ -76,7 +76,7 @@ pub use next_run::{
 };
 use trueup_machine::{
     InputFileError, Machine, RunFile,
-    tool::{TOOL_COLUMN, label_code},
+    tool_column::{TOOL_COLUMN, label_code},
 };
 pub use trueup_page::Provenance;
 
@@ -111,13 +111,13 @@ impl Diagnosis {
     /// next.
     #[must_use]
     pub fn render_html(&self, machine_name: &str, origin: &Provenance, next: &[String]) -> String {
-        diagnosis::html::render_html(self, machine_name, origin, next)
+        diagnosis::html_report::render_html(self, machine_name, origin, next)
     }
 
     /// Returns what an error is of, its RMS before and after in µm: with the current machine file, and with
     /// extended.toml on the board.
     #[must_use]
-    pub fn rms_before_and_after(&self) -> [(&'static str, f64, f64); 3] {
+    pub fn rms_errors_before_and_after(&self) -> [(&'static str, f64, f64); 3] {
         let report = &self.report;
         let (before, after) = (&report.before, &report.after);
         let not_fitted = match report.holdout_used {
@@ -138,7 +138,7 @@ impl Diagnosis {
     /// Returns the verdict in a sentence.
     #[must_use]
     pub fn sentence(&self) -> String {
-        diagnosis::html::verdict_sentence(self)
+        diagnosis::html_report::verdict_sentence(self)
     }
 
     /// Returns what is promised of the error at the tool on another day, from its inputs: what it measures is not
@@ -170,7 +170,7 @@ impl Diagnosis {
     /// Returns whether a board corrects anything by the extended machine file: not what only explains.
     #[must_use]
     pub fn has_corrections(&self) -> bool {
-        self.terms.iter().any(|term| term.effect.is_compensated()) || !self.corrected.is_empty()
+        self.terms.iter().any(|term| term.effect.is_compensable()) || !self.corrected.is_empty()
     }
 
     /// `extended.toml`: the machine file `source` (at `path`, for errors) with the terms.
@@ -182,7 +182,12 @@ impl Diagnosis {
         source: &str,
         path: &Path,
     ) -> Result<String, InputFileError> {
-        diagnosis::extended_file::render_extended_toml(source, path, &self.corrected, &self.terms)
+        diagnosis::extended_machine_file::render_extended_toml(
+            source,
+            path,
+            &self.corrected,
+            &self.terms,
+        )
     }
 
     /// `residuals.csv`: each row with what was predicted and what is left.

@@ -5,7 +5,7 @@ use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     effect::{ModelConstants, ThermometerDelay},
-    file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw, Warmup},
+    machine_file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw, Warmup},
     model::{WarmupState, thermal_error_um},
 };
 
@@ -44,7 +44,7 @@ impl MachineLaws {
     /// Returns the laws of the machine file with what `parts` correct.
     pub(crate) fn with_corrections(data: &DataTable, parts: &[ModelPart]) -> Self {
         let mut laws = Self::default();
-        for part in parts.iter().filter(|part| part.kind.corrects_constants()) {
+        for part in parts.iter().filter(|part| part.kind.is_constant_correction()) {
             let Some(cause) = part.cause() else { continue };
             let is_of_elongation = part.kind.affects_elongation(data);
             if let Some(late) = cause.thermometer_delay() {
@@ -84,7 +84,7 @@ impl MachineLaws {
     }
 
     /// Returns the columns of their thermometers.
-    fn sensor_columns(&self) -> impl Iterator<Item = &str> {
+    fn thermometer_columns(&self) -> impl Iterator<Item = &str> {
         let of_spindle = self.spindle.as_ref().and_then(|spindle| spindle.temperature.as_ref());
         let columns = [
             self.thermal.as_ref().map(|thermal| &thermal.sensor),
@@ -95,22 +95,22 @@ impl MachineLaws {
 
     /// `data` as if the thermometers of the machine's own laws, and that of `column`, were smoothed over
     /// `width_s`, without being late.
-    pub(crate) fn with_smoothed_thermometers(
+    pub(crate) fn table_with_smoothed_thermometers(
         data: &DataTable,
         column: Option<&str>,
         width_s: f64,
     ) -> DataTable {
         let own = Self::from_machine(data);
-        let others = column.filter(|column| !own.sensor_columns().any(|own| own == *column));
-        let columns: Vec<&str> = own.sensor_columns().chain(others).collect();
-        Self::with_changed_thermometers(data, &columns, &|data, column| {
+        let others = column.filter(|column| !own.thermometer_columns().any(|own| own == *column));
+        let columns: Vec<&str> = own.thermometer_columns().chain(others).collect();
+        Self::table_with_changed_thermometers(data, &columns, &|data, column| {
             data.smooth_temperature(column, width_s)
         })
     }
 
     /// `data` as if a term's temperature of `column`, or (none) those of the machine's own laws, came behind a
     /// lag of `late_s`.
-    pub(crate) fn with_thermometer_lag(
+    pub(crate) fn table_with_thermometer_lag(
         data: &DataTable,
         column: Option<&str>,
         late_s: f64,
@@ -120,14 +120,14 @@ impl MachineLaws {
         match (column, &data.whole) {
             (None, _) => {
                 let own = Self::from_machine(data);
-                Self::with_changed_thermometers(
+                Self::table_with_changed_thermometers(
                     data,
-                    &own.sensor_columns().collect::<Vec<_>>(),
+                    &own.thermometer_columns().collect::<Vec<_>>(),
                     &delay_temperature,
                 )
             }
             (Some(_), Some(whole)) => {
-                data.select_same_rows(Self::with_thermometer_lag(&whole.data, column, late_s))
+                data.select_same_rows(Self::table_with_thermometer_lag(&whole.data, column, late_s))
             }
             (Some(column), None) => {
                 let mut late = data.clone();
@@ -138,13 +138,13 @@ impl MachineLaws {
     }
 
     /// `data` with the thermometers of `columns` changed, and the machine's own laws with them.
-    fn with_changed_thermometers(
+    fn table_with_changed_thermometers(
         data: &DataTable,
         columns: &[&str],
         change: &dyn Fn(&mut DataTable, &str),
     ) -> DataTable {
         if let Some(whole) = &data.whole {
-            return data.select_same_rows(Self::with_changed_thermometers(
+            return data.select_same_rows(Self::table_with_changed_thermometers(
                 &whole.data,
                 columns,
                 change,
@@ -153,7 +153,7 @@ impl MachineLaws {
         let mut changed = data.clone();
         columns.iter().for_each(|column| change(&mut changed, column));
         let laws = Self::from_machine(data);
-        if laws.sensor_columns().any(|own| columns.contains(&own)) {
+        if laws.thermometer_columns().any(|own| columns.contains(&own)) {
             let axis: Arc<[f64]> = laws.axis_error_um(&changed).into();
             let law: Arc<[f64]> = laws.elongation_um(&changed).into();
             let before = &data.predicted;

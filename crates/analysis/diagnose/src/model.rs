@@ -104,7 +104,7 @@ impl Model {
         for part in self
             .parts
             .iter()
-            .filter(|part| !part.kind.corrects_constants() && !part.kind.is_time_shift())
+            .filter(|part| !part.kind.is_constant_correction() && !part.kind.is_time_shift())
         {
             let is_of_elongation = part.kind.affects_elongation(data);
             let p = if is_of_elongation { &mut elongation } else { &mut axis };

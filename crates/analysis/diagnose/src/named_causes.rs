@@ -16,17 +16,17 @@ use crate::{
     fit::{FitProblem, FittedModel, fit},
     model::Model,
     outliers,
-    parameters::estimate_parameters,
+    parameter_estimates::estimate_parameters,
     search::{
-        criterion::estimate_noise,
-        extension::{Extension, fit_single_cause_extensions, without_term},
+        extension::{ModelExtension, fit_single_cause_extensions, without_term},
         initial_model,
+        model_comparison::estimate_noise,
     },
     term_kind::{ModelPart, TermKind},
 };
 
 /// Rows that are fitted to; beyond, neighbours are averaged.
-const MAX_GROUPS: usize = 1000;
+const MAX_ROW_GROUPS: usize = 1000;
 /// Hits of a scan that are fitted for one cause.
 const MAX_SCAN_HITS: usize = 4;
 
@@ -114,8 +114,11 @@ fn fit_all(
     let used: Vec<bool> =
         data.used.iter().zip(aside).map(|(used, aside)| *used && !aside).collect();
     let rows = used.iter().filter(|used| **used).count();
-    let size =
-        if data.setting.quantity.axis().is_some() { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
+    let size = if data.setting.quantity.axis().is_some() {
+        1
+    } else {
+        rows.div_ceil(MAX_ROW_GROUPS).max(1)
+    };
     let problem = FitProblem::new(data.clone(), RowGroups::new(data, &used, size));
     let mut base = fit(&problem, &initial_model(data), None);
     for named in causes {
@@ -130,8 +133,8 @@ fn find_best_extension(
     problem: &FitProblem,
     base: &FittedModel,
     named: &NamedCause<'_>,
-) -> Option<Extension> {
-    Extension::best_by_bic(fit_single_cause_extensions(problem, base, MAX_SCAN_HITS, |kind| {
+) -> Option<ModelExtension> {
+    ModelExtension::best_by_bic(fit_single_cause_extensions(problem, base, MAX_SCAN_HITS, |kind| {
         named.matches(kind)
     }))
 }
@@ -152,7 +155,7 @@ fn fit_additional_cause(
     base: &FittedModel,
     named: &NamedCause<'_>,
 ) -> Option<NamedCauseFit> {
-    let Extension { cause, fitted, .. } = find_best_extension(problem, base, named)?;
+    let ModelExtension { cause, fitted, .. } = find_best_extension(problem, base, named)?;
     let part = fitted.model.parts.iter().find(|part| part.kind == cause)?;
     Some(build_named_cause_fit(problem, [base, &fitted], part))
 }

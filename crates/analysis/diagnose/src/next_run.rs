@@ -13,8 +13,8 @@
 
 pub(crate) mod axis_run;
 pub(crate) mod model_pair;
-pub(crate) mod spindle_candidates;
 pub(crate) mod spindle_forecast;
+pub(crate) mod spindle_run_candidates;
 
 use std::fmt;
 
@@ -23,13 +23,14 @@ use trueup_machine::{InputFileError, RunFile};
 use trueup_numerics::t_quantile;
 
 use crate::{
-    data::DataTable, fit::CONFIDENCE_LEVEL, search::criterion::STRONG_EVIDENCE_BIC_DIFFERENCE,
+    data::DataTable, fit::CONFIDENCE_LEVEL,
+    search::model_comparison::STRONG_EVIDENCE_BIC_DIFFERENCE,
 };
 use axis_run::AxisForecast;
 pub use axis_run::AxisRun;
 use model_pair::{ModelPair, Separation};
-use spindle_candidates::spindle_candidates;
 use spindle_forecast::SpindleForecast;
+use spindle_run_candidates::spindle_candidates;
 
 /// Returns the expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
 /// is expected to be G scatters by 2√G, so that G − 2·z·√G is that much, z the one-sided quantile.
@@ -39,7 +40,7 @@ fn sufficient_separation_gap() -> f64 {
 }
 
 /// A gap below this is nothing: what chance alone would make of one value.
-const MIN_SEPARATION_GAP: f64 = 1.0;
+const MIN_SEPARATION_SCORE_GAP: f64 = 1.0;
 
 /// How a reading of a planned run gets into its row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -119,26 +120,28 @@ pub enum NoNextRunReason {
     /// Every name is claimed.
     NothingOpen,
     /// The runs lack what a run is described by: time and speed of a spindle, position and direction of an axis.
-    NotForeseen(&'static str),
+    NotPredictable(&'static str),
     /// None of the runs that were thought of distinguishes them: the causes, and the largest gap.
-    NotApart([String; 2], f64),
+    NotDistinguishable([String; 2], f64),
 }
 
 impl fmt::Display for NoNextRunReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NothingOpen => f.write_str("no cause is open: there is nothing to separate"),
-            Self::NotForeseen(why) => write!(
+            Self::NotPredictable(why) => write!(
                 f,
                 "{why}: no run can be planned; the sentences after \"next:\" state what to measure, and trueup program writes it"
             ),
-            Self::NotApart([one, other], gap) if *gap < MIN_SEPARATION_GAP => write!(
-                f,
-                "within the uncertainty of their values {one} and {other} predict the same in \
+            Self::NotDistinguishable([one, other], gap) if *gap < MIN_SEPARATION_SCORE_GAP => {
+                write!(
+                    f,
+                    "within the uncertainty of their values {one} and {other} predict the same in \
                  every planned run of up to 90 min. No measurement of this kind separates them. \
                  Whether their corrections agree elsewhere is not known"
-            ),
-            Self::NotApart([one, other], gap) => write!(
+                )
+            }
+            Self::NotDistinguishable([one, other], gap) => write!(
                 f,
                 "no run of up to 90 min separates {one} from {other}: the best would give a score gap of \
                  {gap:.1}, and {} is strong evidence",
@@ -230,8 +233,10 @@ pub(crate) fn find_next_run(
         let most = (0..gaps.len()).max_by(|a, b| gaps[*a].gap.total_cmp(&gaps[*b].gap));
         let Some(most) = most else { continue };
         if gaps[most].gap < STRONG_EVIDENCE_BIC_DIFFERENCE {
-            refused
-                .get_or_insert(NoNextRunReason::NotApart(question.causes.clone(), gaps[most].gap));
+            refused.get_or_insert(NoNextRunReason::NotDistinguishable(
+                question.causes.clone(),
+                gaps[most].gap,
+            ));
             continue;
         }
         let CandidateRun { next, table } = &foreseen[enough.unwrap_or(most)];
@@ -243,7 +248,7 @@ pub(crate) fn find_next_run(
         );
         return Ok(NextRun { separations, ..next.clone() });
     }
-    Err(refused.unwrap_or(NoNextRunReason::NotForeseen(
+    Err(refused.unwrap_or(NoNextRunReason::NotPredictable(
         "the machine file needs a column that only positions have",
     )))
 }
@@ -264,7 +269,7 @@ fn candidate_runs(
 ) -> Result<Vec<CandidateRun>, NoNextRunReason> {
     if let Some(axis) = data.setting.quantity.axis() {
         let foresight = AxisForecast::from_runs(runs, &data.setting.machine, axis, gauge)
-            .map_err(NoNextRunReason::NotForeseen)?;
+            .map_err(NoNextRunReason::NotPredictable)?;
         let inputs = foresight.input_columns();
         let all = foresight.candidate_runs().into_iter().filter_map(|run| {
             let table = foresight.forecast_table(&run, data)?;
@@ -275,7 +280,7 @@ fn candidate_runs(
         return Ok(all.collect());
     }
     let foresight =
-        SpindleForecast::from_runs(runs, gauge).map_err(NoNextRunReason::NotForeseen)?;
+        SpindleForecast::from_runs(runs, gauge).map_err(NoNextRunReason::NotPredictable)?;
     let inputs = foresight.input_columns();
     let all = spindle_candidates(&foresight).into_iter().filter_map(|stretches| {
         let table = foresight.forecast_table(&stretches, data)?;

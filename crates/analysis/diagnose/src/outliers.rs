@@ -12,7 +12,7 @@ use trueup_numerics::{
 use crate::{
     data::{DataTable, MIN_PAUSE_INTERVALS},
     repeats::TargetPositions,
-    search::criterion::MAJORITY_SHARE,
+    search::model_comparison::MAJORITY_FRACTION,
 };
 
 /// Rows that stand alone among the repeats of their place, by what `predicted` leaves.
@@ -23,7 +23,7 @@ pub(crate) fn find_repeat_outliers(data: &DataTable, predicted: &[f64]) -> Vec<b
         return vec![false; data.rows];
     };
     let found = targets.find_gross_errors(data, residual);
-    isolated_outliers(data, predicted, &found)
+    find_isolated_outliers(data, predicted, &found)
 }
 
 /// Rows that are to be excluded as outliers, by what `predicted` leaves.
@@ -33,11 +33,11 @@ pub(crate) fn find_gross_errors(data: &DataTable, predicted: &[f64]) -> Vec<bool
         let residual: Vec<f64> =
             rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
         let series: Vec<u32> = rows.iter().map(|&row| data.places.series[row]).collect();
-        flag_residual_outliers(&residual, &series, instrument_resolution_um(data, &rows))
+        flag_residual_outliers(&residual, &series, estimate_instrument_resolution_um(data, &rows))
     };
     let mut found = vec![false; data.rows];
     rows.into_iter().zip(far).for_each(|(row, is_far)| found[row] = is_far);
-    isolated_outliers(data, predicted, &found)
+    find_isolated_outliers(data, predicted, &found)
 }
 
 /// The rows that are excluded as outliers.
@@ -61,14 +61,14 @@ pub(crate) enum OutlierJudgement {
 /// Chance of a record of noise that something is claimed of it. Rows that noise would have by chance are excluded, which
 /// costs nothing; that readings are wrong is claimed if noise whose tails are exponential, heavier than normal ones, has
 /// such readings less often.
-pub(crate) const FALSE_CLAIM_PROBABILITY: f64 = 1e-3;
+pub(crate) const FALSE_POSITIVE_PROBABILITY: f64 = 1e-3;
 /// Readings on each side of one that show its level.
 const LEVEL_HALF_WINDOW_READINGS: usize = 3;
 
 /// Returns what is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
 /// rest, both as it is and from the neighbours' level; or, where an axis comes back, about its places (by the
 /// answer alone).
-pub(crate) fn judge_outliers(
+pub(crate) fn classify_outliers(
     data: &DataTable,
     aside: &[bool],
     predicted: impl FnOnce() -> [Vec<f64>; 2],
@@ -83,7 +83,7 @@ pub(crate) fn judge_outliers(
         return OutlierJudgement::AtChanges;
     }
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
-    let step_um = instrument_resolution_um(data, &rows);
+    let step_um = estimate_instrument_resolution_um(data, &rows);
     let chance = |distance_um: &[f64]| {
         let known = || rows.iter().copied().filter(|&row| !distance_um[row].is_nan());
         let of = |is_far: bool| -> Vec<f64> {
@@ -95,12 +95,12 @@ pub(crate) fn judge_outliers(
     };
     let left_um = row_residuals(data, &with_curves);
     let by_level =
-        chance(&deviations_from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
+        chance(&deviations_from_local_median(data, &rows, aside, &left_um)).max(chance(&left_um));
     let targets = TargetPositions::from_rows(data, rows.iter().copied());
     let by_place = targets.map_or(1.0, |targets| {
         chance(&targets.deviations_from_target_median(&row_residuals(data, &plain), aside))
     });
-    if by_level.min(by_place) < FALSE_CLAIM_PROBABILITY {
+    if by_level.min(by_place) < FALSE_POSITIVE_PROBABILITY {
         OutlierJudgement::Wrong
     } else {
         OutlierJudgement::MayBeNoise
@@ -116,7 +116,7 @@ fn is_nearer_to_neighbour(data: &DataTable, row: usize, predicted: &[f64]) -> bo
     }
     let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
     // The larger part of the way is then what happened between the two.
-    let is_nearer = |other: usize| away_um(other) < MAJORITY_SHARE * away_um(row);
+    let is_nearer = |other: usize| away_um(other) < MAJORITY_FRACTION * away_um(row);
     let before = row.checked_sub(1).filter(|_| !data.places.restart[row]);
     let after = Some(row + 1).filter(|&next| next < data.rows && !data.places.restart[next]);
     before.into_iter().chain(after).any(is_nearer)
@@ -128,7 +128,7 @@ fn row_residuals(data: &DataTable, predicted: &[f64]) -> Vec<f64> {
 }
 
 /// Returns how far each of `rows` is from the median of those around it that are not excluded as outliers; NaN of the others.
-fn deviations_from_level(
+fn deviations_from_local_median(
     data: &DataTable,
     rows: &[usize],
     aside: &[bool],
@@ -174,13 +174,13 @@ fn reading_error_mask(data: &DataTable, aside: &[bool]) -> Vec<bool> {
 }
 
 /// Those of the rows `found` that are gross errors: they come one by one, and do not come back.
-fn isolated_outliers(data: &DataTable, predicted: &[f64], found: &[bool]) -> Vec<bool> {
+fn find_isolated_outliers(data: &DataTable, predicted: &[f64], found: &[bool]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
     let series: Vec<u32> = rows.iter().map(|&row| data.places.series[row]).collect();
     let mut kept: Vec<bool> = rows.iter().map(|&row| found[row]).collect();
-    retain_isolated(&mut kept, &residual, &series);
-    retain_nonrecurring(&mut kept, &residual, &stop_positions(data, &rows));
+    retain_isolated_outliers(&mut kept, &residual, &series);
+    retain_nonrecurring_outliers(&mut kept, &residual, &stop_positions(data, &rows));
     let mut aside = vec![false; data.rows];
     rows.into_iter().zip(kept).for_each(|(row, kept)| aside[row] = kept);
     aside
@@ -188,7 +188,7 @@ fn isolated_outliers(data: &DataTable, predicted: &[f64], found: &[bool]) -> Vec
 
 /// Gross errors come one by one. Where more of those `found` are neighbours on the same side than chance
 /// would let them, what these share is something that happened, and no error of a reading: they stay.
-fn retain_isolated(found: &mut [bool], residual: &[f64], series: &[u32]) {
+fn retain_isolated_outliers(found: &mut [bool], residual: &[f64], series: &[u32]) {
     let is_pair = |a: usize, found: &[bool]| {
         let b = a + 1;
         b < found.len()
@@ -223,7 +223,7 @@ fn stop_positions(data: &DataTable, rows: &[usize]) -> Vec<(i64, bool)> {
 
 /// Nor does a gross error come back: where more of those `found` are off to the same side at the same stop
 /// than chance would let them, what repeats there is the machine's, and they stay.
-fn retain_nonrecurring(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)]) {
+fn retain_nonrecurring_outliers(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)]) {
     let far: Vec<usize> = (0..stops.len()).filter(|&row| found[row]).collect();
     let is_same = |a: usize, b: usize| stops[a] == stops[b] && residual[a] * residual[b] > 0.0;
     let pairs = far.iter().enumerate().flat_map(|(n, &a)| far[..n].iter().map(move |&b| (a, b)));
@@ -251,7 +251,7 @@ fn same_side_probability(far: &[usize], residual: &[f64]) -> f64 {
 }
 
 /// Returns the instrument's last digit: the smallest step between readings, but for the rarest.
-fn instrument_resolution_um(data: &DataTable, rows: &[usize]) -> f64 {
+fn estimate_instrument_resolution_um(data: &DataTable, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
     values.sort_unstable_by(f64::total_cmp);
     let mut steps: Vec<f64> =
@@ -273,7 +273,7 @@ mod tests {
             for &row in rows {
                 (found[row], residual[row]) = (true, 9.0);
             }
-            retain_isolated(&mut found, &residual, &series);
+            retain_isolated_outliers(&mut found, &residual, &series);
             (0..500).filter(|&row| found[row]).collect::<Vec<usize>>()
         };
         assert_eq!(kept(&[20, 140, 300, 411]), [20, 140, 300, 411]);
@@ -290,7 +290,7 @@ mod tests {
             for &row in rows {
                 (found[row], residual[row]) = (true, 9.0);
             }
-            retain_nonrecurring(&mut found, &residual, &stops);
+            retain_nonrecurring_outliers(&mut found, &residual, &stops);
             (0..360).filter(|&row| found[row]).collect::<Vec<usize>>()
         };
         assert_eq!(kept(&[20, 147, 300, 341]), [20, 147, 300, 341]);

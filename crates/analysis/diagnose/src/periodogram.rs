@@ -12,26 +12,26 @@
 
 use std::f64::consts::TAU;
 
-use trueup_numerics::{fourier, parallel::parallel_map, random::Generator};
+use trueup_numerics::{fourier, parallel::parallel_map, random::RandomGenerator};
 
 /// Beyond this many the positions are as dense as those of a continuous record, and lie on no grid.
 const MAX_FREQUENCIES: usize = 40_000;
 
 /// Returns the frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
 /// whole length, and ln of the number of independent frequencies that were looked at.
-pub(crate) fn spectrum_peak(
+pub(crate) fn find_spectrum_peak(
     at: &[f64],
     values: &[f64],
     least_turns: f64,
     most: usize,
 ) -> Option<(f64, f64)> {
-    let (power, frequency, looked_at) = dominant_component(at, values, least_turns, most)?;
+    let (power, frequency, looked_at) = find_dominant_component(at, values, least_turns, most)?;
     (power > 0.0).then_some((frequency, looked_at.ln()))
 }
 
 /// Returns the frequencies of the highest peaks of `values` over `at`, at most `most`, the highest first: up to
 /// twice one over the typical spacing, so that the aliases of a wave are among them.
-pub(crate) fn spectral_peak_frequencies(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
+pub(crate) fn find_spectral_peak_frequencies(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
     let Some(SamplingGrid { low, range, spacing }) = SamplingGrid::from_positions(at) else {
         return Vec::new();
     };
@@ -79,7 +79,7 @@ impl SamplingGrid {
     }
 }
 
-fn dominant_component(
+fn find_dominant_component(
     at: &[f64],
     values: &[f64],
     least_turns: f64,
@@ -138,7 +138,7 @@ pub(crate) fn fit_reciprocal_wave(at: &[f64], values: &[f64]) -> Option<(Vec<f64
     // As many rows as show the periods that matter, and no more, drawn by chance: rows at equal steps
     // may all stand at one phase.
     const MAX_SAMPLED_ROWS: usize = 1200;
-    let mut generator = Generator::new(at.len() as u64);
+    let mut generator = RandomGenerator::new(at.len() as u64);
     let drawn: Vec<usize> =
         (0..at.len()).filter(|_| generator.uniform_index(at.len()) < MAX_SAMPLED_ROWS).collect();
     let thin = |list: &[f64]| -> Vec<f64> { drawn.iter().map(|&row| list[row]).collect() };
@@ -150,7 +150,7 @@ pub(crate) fn fit_reciprocal_wave(at: &[f64], values: &[f64]) -> Option<(Vec<f64
         .collect();
     let of = |origin: f64| {
         let inverse: Vec<f64> = at.iter().map(|x| 1.0 / (x + origin)).collect();
-        let (power, constant, count) = dominant_component(&inverse, &values, 4.0, 900)?;
+        let (power, constant, count) = find_dominant_component(&inverse, &values, 4.0, 900)?;
         Some((power, count, vec![constant, origin]))
     };
     let all: Vec<_> =
@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_transform_finds_the_power_that_plain_sines_find() {
-        let mut generator = Generator::new(5);
+        let mut generator = RandomGenerator::new(5);
         let mut uniform = || generator.uniform_index(1_000_000) as f64 / 1e6;
         let at: Vec<f64> = (0..3000).map(|_| 1000.0 * uniform()).collect();
         let noise: Vec<f64> = at.iter().map(|_| uniform() - 0.5).collect();
@@ -176,7 +176,7 @@ mod tests {
             let wave = at.iter().zip(&noise).map(|(x, e)| (TAU * x / period).sin() + e);
             let values: Vec<f64> = wave.collect();
             let (power, frequency, _) =
-                dominant_component(&at, &values, 2.0, 8000).expect("long enough");
+                find_dominant_component(&at, &values, 2.0, 8000).expect("long enough");
             assert!((frequency * period - 1.0).abs() < 2e-2, "{frequency}");
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let (low, high) =

@@ -8,11 +8,11 @@ use std::collections::HashMap;
 
 use trueup_machine::{
     effect::BoardTerm,
-    file::{Feedback, LinearAxis, PitchErrorTable},
+    machine_file::{Feedback, LinearAxis, PitchErrorTable},
     model::is_negative_direction,
 };
 use trueup_numerics::{
-    blocks::COVERAGE_FACTOR_95,
+    block_resampling::COVERAGE_FACTOR_95,
     repeats::{
         POSITION_TOLERANCE_PER_STEP, RepeatReading, TableLaw, cycle_numbers, find_gross_errors,
         group_positions, max_point_variance,

@@ -6,7 +6,7 @@
 
 use trueup_machine::{
     effect::{BoardTerm, Effect, HeatPath, NonlinearParameter, PredictionStage, Target},
-    file::{PitchErrorTable, Quantity, ThermalLaw},
+    machine_file::{PitchErrorTable, Quantity, ThermalLaw},
 };
 
 #[cfg(test)]
@@ -20,12 +20,12 @@ pub(crate) enum TermKind {
     Cause(Effect),
     /// A term that the machine file has, with the values that the file says.
     StatedTerm(StatedTerm),
-    Curve(Curve),
+    Curve(LackOfFitCurve),
 }
 
 /// A test of structure and no cause: a curve over a column.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Curve {
+pub(crate) struct LackOfFitCurve {
     pub column: String,
     pub knots: Vec<f64>,
     pub by_direction: bool,
@@ -77,7 +77,7 @@ impl TermKind {
     }
 
     /// Returns its name with the column that it depends on.
-    pub(crate) fn title(&self) -> String {
+    pub(crate) fn name_with_column(&self) -> String {
         match self.column() {
             Some(column) => format!("{} of {column}", self.name()),
             None => self.name().into(),
@@ -85,8 +85,8 @@ impl TermKind {
     }
 
     /// Returns whether a board may correct it: not what only happened once, nor what is not the machine's.
-    pub(crate) fn is_compensated(&self) -> bool {
-        self.cause().is_none_or(|effect| effect.is_compensated())
+    pub(crate) fn is_compensable(&self) -> bool {
+        self.cause().is_none_or(|effect| effect.is_compensable())
     }
 
     /// Its nonlinear values.
@@ -95,8 +95,8 @@ impl TermKind {
     }
 
     /// Returns whether the value of this number is varied by ratios.
-    pub(crate) fn is_logarithmic(&self, number: usize) -> bool {
-        self.nonlinear_parameters().get(number).is_some_and(|value| value.is_logarithmic())
+    pub(crate) fn is_log_scaled(&self, number: usize) -> bool {
+        self.nonlinear_parameters().get(number).is_some_and(|value| value.is_log_scaled())
     }
 
     /// Returns whether its first value is a time constant.
@@ -186,7 +186,7 @@ impl TermKind {
     }
 
     /// Returns whether it may change the constants of the machine's own model, or the source's law.
-    pub(crate) fn corrects_constants(&self) -> bool {
+    pub(crate) fn is_constant_correction(&self) -> bool {
         matches!(self.stage(), PredictionStage::Constant | PredictionStage::FallingTimeConstants)
     }
 
@@ -230,7 +230,7 @@ impl TermKind {
     }
 
     /// Returns the same heat by a path of its own, neutral.
-    pub(crate) fn to_separate_path(&self, has_lag: bool) -> Option<Self> {
+    pub(crate) fn to_separate_heat_path(&self, has_lag: bool) -> Option<Self> {
         let Self::Cause(effect) = self else { return None };
         let mut effect = effect.clone();
         let heat = effect.temperature_response_mut()?;
@@ -257,7 +257,7 @@ impl TermKind {
 
     /// Returns whether it is periodic in time: next to a law that is missing, it follows whatever drives
     /// that.
-    pub(crate) fn is_clock_periodic(&self) -> bool {
+    pub(crate) fn is_periodic_in_time(&self) -> bool {
         matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
     }
 
@@ -273,7 +273,7 @@ impl TermKind {
 
     /// Returns the cause that a form stands for, of an axis or (none) the elongation.
     pub(crate) fn from_board_term(
-        own: Option<trueup_machine::file::LinearAxis>,
+        own: Option<trueup_machine::machine_file::LinearAxis>,
         form: &BoardTerm,
     ) -> Option<Self> {
         Effect::from_board(own, form, &mut 0.0).map(Self::Cause)

@@ -5,7 +5,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, diagnose};
-use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, machine_file::Quantity, predict::RunPredictor};
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 const SPINDLE: &str = "[spindle]\nsource = \"temperature\"\n[spindle.temperature]\n\
@@ -34,7 +34,7 @@ fn answered(sections: &str, csv: &str, quantity: Quantity) -> (Diagnosis, f64) {
     });
     let extended = diagnosis.render_extended_toml(&text, path).expect("a machine file");
     let extended = MachineFile::parse(&extended, path).expect("it can be loaded");
-    let predictor = Predictor::new(&extended, &run).expect("it can be predicted");
+    let predictor = RunPredictor::new(&extended, &run).expect("it can be predicted");
     let index =
         Quantity::ALL.iter().position(|candidate| *candidate == quantity).expect("one of all");
     let predicted = predictor.predictions().map(|row| row.model.to_array()[index]);

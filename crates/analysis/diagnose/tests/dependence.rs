@@ -4,7 +4,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
-use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, machine_file::Quantity, predict::RunPredictor};
 use trueup_twin::noise::RandomStream;
 
 const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
@@ -165,7 +165,7 @@ fn the_extended_file_predicts_what_the_diagnosis_says() {
         .position(|quantity| quantity.name() == challenge.quantity)
         .expect("one");
     let measured = run.column(&format!("measured_{}_um", challenge.quantity)).expect("measured");
-    let left: Vec<f64> = Predictor::new(&extended, &run)
+    let left: Vec<f64> = RunPredictor::new(&extended, &run)
         .expect("a prediction")
         .model_values()
         .zip(measured)

@@ -6,11 +6,11 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 use trueup_campaigns::{
     hidden_effects::{HiddenCause, TestCase, draw, draw_pair},
     score::{
-        hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
-        pairs::{
-            CausePair, EFFECT_TO_NOISE_RATIO, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, PairScore,
-            find_value_errors, named_causes,
+        cause_pairs::{
+            CausePair, EFFECT_TO_NOISE_RATIO, MAX_INCORRECT_FRACTION, MIN_CORRECT_FRACTION,
+            PairScore, find_value_errors, named_causes,
         },
+        hidden_effect::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
     },
 };
 
@@ -105,7 +105,7 @@ fn both_are_found(is_axis: bool) {
     }
     let of = |share: f64| Binomial::new(share, count).expect("a share");
     let (least, most) =
-        (of(MIN_RIGHT_SHARE).inverse_cdf(0.01), of(MAX_WRONG_SHARE).inverse_cdf(0.99));
+        (of(MIN_CORRECT_FRACTION).inverse_cdf(0.01), of(MAX_INCORRECT_FRACTION).inverse_cdf(0.99));
     println!("{right} of {count} right (at least {least}), {wrong} wrong (at most {most})");
     assert!(right >= least && wrong <= most, "{right} right, {wrong} wrong of {count}");
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
 use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
-use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, machine_file::Quantity, predict::RunPredictor};
 
 const CAUSE: &str = "feed-dependent-backlash";
 
@@ -75,7 +75,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     let index = Quantity::ALL.iter().position(|quantity| quantity.name() == challenge.quantity);
     let index = index.expect("one of all");
     let mut rows = 0;
-    for row in Predictor::new(&extended, &run).expect("a prediction").predictions() {
+    for row in RunPredictor::new(&extended, &run).expect("a prediction").predictions() {
         let bridge = row.bridge.expect("the board runs it").to_array()[index];
         let model = row.model.to_array()[index];
         assert!((model - bridge).abs() < 0.05, "{model} and {bridge}");

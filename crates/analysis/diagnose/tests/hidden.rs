@@ -3,7 +3,7 @@
 
 use trueup_campaigns::{
     hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
-    score::hidden::{ScoreRow, run_diagnosis, score_diagnosis},
+    score::hidden_effect::{ScoreRow, run_diagnosis, score_diagnosis},
 };
 
 fn row(causes: &[HiddenCause], ratio: f64, seeds: std::ops::Range<u64>) -> ScoreRow {

@@ -4,14 +4,14 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, Provenance, Verdict, diagnose};
 use trueup_machine::{InputFileError, MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
 /// 300 rows: the load comes and goes and always bends the tool; `temp_a_c` rises, and moves it by
 /// `um_per_c`.
 fn run(um_per_c: f64, seed: u64, name: &str) -> RunFile {
-    let mut noise = Generator::new(seed);
+    let mut noise = RandomGenerator::new(seed);
     let mut text = String::from("time_s,load_n,temp_a_c,measured_elongation_um\n");
     for row in 0..300 {
         let time_s = 10.0 * f64::from(row);
@@ -79,7 +79,7 @@ fn what_makes_a_hold_out_worse_is_not_handed_out_and_what_does_not_is() {
 #[test]
 fn the_zero_of_an_axis_is_no_error_of_the_runs_and_stands_in_a_hold_out() {
     let axis = |seed: u64, cycles: u32, um_per_m: f64| {
-        let mut noise = Generator::new(seed);
+        let mut noise = RandomGenerator::new(seed);
         let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
         for run in 0..cycles {
             for place in 0..10 {
@@ -104,7 +104,7 @@ fn the_zero_of_an_axis_is_no_error_of_the_runs_and_stands_in_a_hold_out() {
 fn the_machine_file_stays_where_nothing_that_was_found_holds() {
     // Nothing but noise, but for what the runs had.
     let mut text = String::from("time_s,load_n,temp_a_c,measured_elongation_um\n");
-    let mut noise = Generator::new(7);
+    let mut noise = RandomGenerator::new(7);
     for row in 0..300 {
         let load_n = if (row / 17) % 2 == 0 { -400.0 } else { 400.0 };
         let warm_c = 28.0 - 0.02 * f64::from(row);
@@ -158,7 +158,7 @@ fn a_hold_out_that_is_one_of_the_runs_is_told_whatever_its_name() {
 #[test]
 fn a_gross_reading_of_a_hold_out_that_gains_less_than_promised_is_named() {
     let axis = |seed: u64, cycles: u32, gross_um: f64| {
-        let mut noise = Generator::new(seed);
+        let mut noise = RandomGenerator::new(seed);
         let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
         for run in 0..cycles {
             for place in 0..20 {

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
-use trueup_machine::{MachineFile, RunFile, file::Quantity};
+use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
 use trueup_measured_data::find_measured_file as data;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
@@ -79,7 +79,7 @@ fn axes_that_repeat_get_a_table_and_one_that_does_not_is_refused() {
     let diagnosis = diagnosed(HEAD, &[read(&path)], &[]);
     println!("muts_x: {:?}", diagnosis.report.reasons);
     assert_eq!(diagnosis.report.verdict, Verdict::DoNotCompensate);
-    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensated()));
+    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensable()));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use trueup_diagnose::{
     report::{Finding, Verdict},
 };
 use trueup_machine::{MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
@@ -29,7 +29,7 @@ fn number(finding: &Finding, name: &str) -> f64 {
 
 /// Rows of a pass along x at 11 mm/min, or with `ways` 2 there and back, with an error over the position.
 fn pass(has_clock: bool, ways: usize, error_um: impl Fn(f64) -> f64) -> String {
-    let mut noise = Generator::new(21);
+    let mut noise = RandomGenerator::new(21);
     let mut run = String::from(if has_clock { "time_s," } else { "" });
     run += "x_mm,measured_dx_um\n";
     for row in 0..400 * ways {
@@ -77,7 +77,7 @@ fn a_scale_of_one_pass_may_be_a_drift_with_a_clock_or_without() {
 
 /// Returns a chiller that was not recorded: 3 µm every 23 min; the clock counts from 1970.
 fn chiller(bed_swings: bool) -> String {
-    let mut noise = Generator::new(22);
+    let mut noise = RandomGenerator::new(22);
     let mut run = String::from("time_s,temp_bed_c,measured_dz_um\n");
     for row in 0..500 {
         let time_s = 30.0 * f64::from(row);
@@ -109,7 +109,7 @@ fn what_comes_and_goes_with_the_clock_is_named_and_not_called_explained() {
 /// 0.4 µm from reading to reading.
 #[test]
 fn what_wanders_along_a_pass_is_not_called_clean() {
-    let mut noise = Generator::new(23);
+    let mut noise = RandomGenerator::new(23);
     let (mut slow_um, mut run) = (0.0, [String::new(), String::from("time_s,")]);
     run.iter_mut().for_each(|run| *run += "x_mm,measured_dx_um\n");
     let kept = (-1.0_f64 / 15.0).exp();

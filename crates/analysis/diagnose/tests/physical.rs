@@ -3,8 +3,8 @@
 
 use trueup_campaigns::{
     faulty_machine::{MIN_FAULT_TO_NOISE_RATIO, MultiFaultMachine, expected_causes},
-    physical::{MachineKind, PhysicalFault},
-    score::physical::diagnose_and_score,
+    physical_faults::{MachineKind, PhysicalFault},
+    score::physical_faults::diagnose_and_score,
 };
 use trueup_machine::effect::Cause;
 

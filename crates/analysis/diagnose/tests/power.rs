@@ -6,7 +6,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, DiagnosisOptions, Verdict, diagnose, diagnose_with_options};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
@@ -22,7 +22,7 @@ fn diagnosed(machine: &str, text: &str) -> Diagnosis {
 /// 300 rows of noise of 0.5 µm with a memory of this many rows, under a load that comes and goes and bends
 /// the tool by an error of `hidden_um` RMS.
 fn loaded(hidden_um: f64, memory_rows: f64, seed: u64) -> String {
-    let mut noise = Generator::new(seed);
+    let mut noise = RandomGenerator::new(seed);
     let load: Vec<f64> = (0..300).map(|row| f64::from((row / 23 * 7) % 5) - 2.0).collect();
     let rms = (load.iter().map(|load| load * load).sum::<f64>() / 300.0).sqrt();
     let decay = if memory_rows > 0.0 { (-1.0 / memory_rows).exp() } else { 0.0 };
@@ -115,7 +115,7 @@ fn one_row_two_rows_and_a_single_pass_are_too_little_and_it_is_said_what_would_d
 /// 80 positions 0.5 mm apart, each pass over them from the same side: 20 µm RMS that go on from one to the next,
 /// e^(−1/13) of each, and 0.5 µm of noise.
 fn passes(count: usize, seed: u64) -> String {
-    let mut noise = Generator::new(seed);
+    let mut noise = RandomGenerator::new(seed);
     let decay = f64::exp(-1.0 / 13.0);
     let mut um = noise.normal();
     let error: Vec<f64> = (0..80)
@@ -151,7 +151,7 @@ fn a_curve_that_was_measured_once_is_not_called_noise() {
         );
     }
     // Noise that does not go on is noise after one pass as well.
-    let mut noise = Generator::new(9);
+    let mut noise = RandomGenerator::new(9);
     let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
     for place in 0..80 {
         let _ = writeln!(text, "{},1,{:.3}", 0.5 * f64::from(place), 20.0 * noise.normal());
@@ -210,7 +210,7 @@ fn few_rows_are_enough_for_an_instrument_that_is_known_to_be_no_better() {
 
 #[test]
 fn a_door_that_nobody_recorded_is_told_as_slow_wandering() {
-    let mut chance = Generator::new(4);
+    let mut chance = RandomGenerator::new(4);
     let (step_s, memory_s) = (20.0, 1020.0);
     let mut text = String::from("time_s,temp_spindle_c,measured_elongation_um\n");
     let (mut air, mut cooled, mut spindle) = (0.0, 0.0, 0.0);

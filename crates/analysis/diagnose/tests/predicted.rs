@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 const STEP_S: f64 = 240.0;
@@ -15,7 +15,7 @@ const STEP_S: f64 = 240.0;
 fn day(krpm: &[f64], every: usize, seed: u64) -> String {
     const THERMOMETERS_S: [f64; 6] = [300.0, 900.0, 2100.0, 4100.0, 6200.0, 10_800.0];
     const GROWTHS: [(f64, f64); 3] = [(600.0, 0.9), (3000.0, -0.8), (8000.0, 1.4)];
-    let mut noise = Generator::new(seed);
+    let mut noise = RandomGenerator::new(seed);
     let mut warmth_c = [0.0; 9];
     let mut text = String::from("time_s,spindle_rpm");
     (0..6).for_each(|n| write!(text, ",temp_t{n}_c").expect("a string grows"));
@@ -82,7 +82,7 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
 fn noise_with_a_memory_is_not_corrected() {
     let mut written = 0;
     for seed in 0..40 {
-        let mut noise = Generator::new(1000 + seed);
+        let mut noise = RandomGenerator::new(1000 + seed);
         let decay = (-0.1_f64).exp();
         let mut states = [0.0_f64; 5];
         let mut text =

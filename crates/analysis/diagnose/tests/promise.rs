@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 /// Believed: 2 µm for each kelvin. The machine grows 3.
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
@@ -14,7 +14,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nso
 /// Returns a row each 10 s; `true_c` is what the part has, `noise_c` what the thermometer adds, `wandering_um` what
 /// nothing records, with a memory of a quarter of an hour.
 fn day(true_c: impl Fn(f64) -> f64, noise_c: f64, wandering_um: f64, seed: u64) -> RunFile {
-    let mut noise = Generator::new(seed);
+    let mut noise = RandomGenerator::new(seed);
     let mut text = String::from("time_s,temp_a_c,measured_elongation_um\n");
     let mut wanders_um = 0.0;
     let kept = (-10.0_f64 / 900.0).exp();

@@ -2,8 +2,8 @@
 //! claimed. The whole is `scorecard scenarios`.
 
 use trueup_campaigns::score::{
-    key::AnswerComparison,
-    shipped::{SHIPPED_SCENARIOS, ShippedScenario},
+    answer_key::AnswerComparison,
+    shipped_scenarios::{SHIPPED_SCENARIOS, ShippedScenario},
 };
 
 /// Compares the answer to the record of `seed` with its key.

@@ -5,10 +5,13 @@ use std::path::Path;
 
 use trueup_campaigns::{
     hidden_effects::{HiddenCause, TestCase, draw},
-    known_term::{draw_aged_term, draw_with_known_term, known_and_new_causes, known_causes},
-    score::hidden::{ScoreRow, run_diagnosis, score_diagnosis},
+    known_term::{
+        draw_test_case_with_changed_term, draw_test_case_with_known_term,
+        known_and_new_cause_pairs, known_causes,
+    },
+    score::hidden_effect::{ScoreRow, run_diagnosis, score_diagnosis},
 };
-use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 
 /// Returns what the host's model makes of the machine file, for each row of the training runs.
 fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
@@ -18,7 +21,7 @@ fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
     let quantity = names.iter().position(|name| *name == challenge.quantity).expect("one of four");
     let of = |csv: &String| {
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");
-        let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
+        let predictor = RunPredictor::new(&machine, &run).expect("all that it needs is there");
         predictor.predictions().map(|row| row.model.to_array()[quantity]).collect::<Vec<f64>>()
     };
     Ok(challenge.runs.iter().flat_map(of).collect())
@@ -28,7 +31,7 @@ fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
 #[test]
 fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
     let mut tried = 0;
-    for (a, b) in known_and_new_causes() {
+    for (a, b) in known_and_new_cause_pairs() {
         // A slope or a reference is of the temperature that the axis follows, late or not: what the
         // twin lays to the lag and what the model lays to it differ, their sum does not.
         let is_of_heat = [
@@ -40,7 +43,8 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
         if is_of_heat && b == HiddenCause::ThermalLag {
             continue;
         }
-        let challenge = draw_with_known_term(a, b, 3.0, 1).expect("they stand beside each other");
+        let challenge =
+            draw_test_case_with_known_term(a, b, 3.0, 1).expect("they stand beside each other");
         // A cause that no file can have yet is in no second diagnosis.
         let Ok(predicted) = predicted(&challenge) else { continue };
         tried += 1;
@@ -134,8 +138,12 @@ fn a_gain_of_the_sensor_is_found_beside_the_centrifugal_growth_that_the_file_has
 #[test]
 fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
     for seed in 0..6 {
-        let challenge =
-            draw_with_known_term(HiddenCause::ExtraHeatPath, HiddenCause::ThermalLag, 3.0, seed);
+        let challenge = draw_test_case_with_known_term(
+            HiddenCause::ExtraHeatPath,
+            HiddenCause::ThermalLag,
+            3.0,
+            seed,
+        );
         let challenge = challenge.expect("one machine has both");
         is_alone(&challenge, HiddenCause::ThermalLag)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
@@ -147,7 +155,7 @@ fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
 #[test]
 fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
     for seed in 0..6 {
-        let challenge = draw_aged_term(HiddenCause::ExpansionSlope, 3.0, seed);
+        let challenge = draw_test_case_with_changed_term(HiddenCause::ExpansionSlope, 3.0, seed);
         is_alone(&challenge, HiddenCause::ExpansionSlope)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
         let diagnosis = run_diagnosis(&challenge);
@@ -184,12 +192,12 @@ fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
     let is_read = |challenge: &TestCase| {
         MachineFile::parse(&challenge.machine, Path::new("machine.toml")).is_ok()
     };
-    let beside = known_and_new_causes().into_iter().filter_map(|(a, b)| {
-        let challenge = draw_with_known_term(a, b, 3.0, 0).filter(is_read)?;
+    let beside = known_and_new_cause_pairs().into_iter().filter_map(|(a, b)| {
+        let challenge = draw_test_case_with_known_term(a, b, 3.0, 0).filter(is_read)?;
         Some((format!("{} beside {}", b.name(), a.name()), challenge))
     });
     assert!(scored_all(beside.collect()) >= 0.95);
-    let aged =
-        known_causes().map(|cause| (cause.name().to_string(), draw_aged_term(cause, 3.0, 0)));
+    let aged = known_causes()
+        .map(|cause| (cause.name().to_string(), draw_test_case_with_changed_term(cause, 3.0, 0)));
     assert!(scored_all(aged.collect()) >= 0.9);
 }

@@ -8,9 +8,11 @@ use std::{borrow::Cow, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_fit::pitch;
-use trueup_machine::{MachineFile, RunFile, applied_offsets::UncompensatedRun, file::LinearAxis};
+use trueup_machine::{
+    MachineFile, RunFile, applied_offsets::UncompensatedRun, machine_file::LinearAxis,
+};
 use trueup_measured_data::find_measured_file as data;
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const MACHINE: &str = "[machine]\nname = \"stage\"\nkind = \"3-axis\"\n";
 
@@ -102,7 +104,7 @@ fn between_nine_targets_a_table_is_doubted_and_the_positions_that_decide_are_lis
 fn what_does_not_repeat_is_still_refused() {
     let Some(diagnosis) = diagnosed("ess_iso230/muts_x.csv", None) else { return };
     assert_eq!(diagnosis.report.verdict, Verdict::DoNotCompensate);
-    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensated()));
+    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensable()));
     for (name, most_um) in [("x", 4.8), ("z", 1.2)] {
         let Some(diagnosis) = diagnosed(&format!("ess_iso230/{name}.csv"), None) else { return };
         has_table(&diagnosis, most_um);
@@ -156,7 +158,7 @@ fn fit_pitch_and_diagnose_correct_the_same_measured_axes() {
 
 #[test]
 fn fit_pitch_and_diagnose_correct_the_same_drawn_axes() {
-    let mut dice = Generator::new(14);
+    let mut dice = RandomGenerator::new(14);
     let (mut corrected, mut apart) = (0, Vec::new());
     for draw in 0..120 {
         let (targets, cycles) = (5 + dice.uniform_index(6), 2 + dice.uniform_index(4));

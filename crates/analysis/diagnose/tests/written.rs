@@ -6,9 +6,9 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{
-    Machine, MachineFile, RunFile, effect::BoardTerm, file::Quantity, predict::Predictor,
+    Machine, MachineFile, RunFile, effect::BoardTerm, machine_file::Quantity, predict::RunPredictor,
 };
-use trueup_numerics::{blocks::rms, random::Generator};
+use trueup_numerics::{block_resampling::rms, random::RandomGenerator};
 use trueup_twin::{Scenario, simulate};
 
 /// Believed: 2.2 µm for each kelvin of the front bearing, seven minutes late.
@@ -27,7 +27,7 @@ struct Week {
 }
 
 fn week(seed: u64) -> Week {
-    let mut chance = Generator::new(1000 + seed);
+    let mut chance = RandomGenerator::new(1000 + seed);
     let season_c = 18.0 + 10.0 * chance.uniform();
     let zero_um = 18.0 * chance.uniform() - 9.0;
     // The machine is as believed, or a little another one.
@@ -80,7 +80,7 @@ fn diagnosed(machine: &str, csv: &str) -> (Diagnosis, Machine) {
 /// Returns what the board leaves of `truth_um` with `machine`.
 fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
     let run = run(csv);
-    let predictor = Predictor::new(machine, &run).expect("the columns are there");
+    let predictor = RunPredictor::new(machine, &run).expect("the columns are there");
     let rows = predictor.predictions().zip(truth_um);
     let left = rows.map(|(row, um)| row.bridge.expect("connected").elongation_um - um);
     rms(&left.collect::<Vec<f64>>())
@@ -88,7 +88,7 @@ fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
 
 /// Returns the largest constant or rise of what the board runs.
 fn largest_um(machine: &Machine) -> f64 {
-    let sizes = machine.terms.iter().filter(|term| term.effect.is_compensated()).map(|term| {
+    let sizes = machine.terms.iter().filter(|term| term.effect.is_compensable()).map(|term| {
         let forms = term.effect.board_terms();
         let of_forms = forms.iter().map(|form| match form {
             BoardTerm::Offset(um) | BoardTerm::Time { amplitude_um: um, .. } => um.abs(),
@@ -149,7 +149,7 @@ fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 
     let measured = day.column(&format!("measured_{}_um", quantity.name())).expect("measured");
     let number =
         Quantity::ALL.iter().position(|candidate| *candidate == quantity).expect("one of four");
-    let predictor = Predictor::new(machine, day).expect("the columns are there");
+    let predictor = RunPredictor::new(machine, day).expect("the columns are there");
     let rows = predictor.predictions().zip(measured);
     let left = rows.map(|(row, um)| um - row.bridge.expect("a bridge").to_array()[number]);
     rms(&left.filter(|um| um.is_finite()).collect::<Vec<f64>>())
@@ -181,7 +181,7 @@ fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, se
     for number in 0..extended.terms.len() {
         let mut without = extended.clone();
         let term = without.terms.remove(number);
-        if term.effect.is_compensated() && Predictor::new(&without, &record).is_ok() {
+        if term.effect.is_compensable() && RunPredictor::new(&without, &record).is_ok() {
             let without_um = others(&without);
             assert!(
                 without_um > 0.99 * other_um,
@@ -212,7 +212,7 @@ fn a_gain_and_a_bend_of_a_sensor_are_one_characteristic_and_are_written() {
     let (mut fitted, mut held) =
         ("sensor_counts,measured_elongation_um\n".to_string(), String::new());
     held.push_str(&fitted);
-    let mut noise = Generator::new(5);
+    let mut noise = RandomGenerator::new(5);
     for row in 0..80 {
         let sensor_um = 10.0 * f64::from(row);
         // At most 625 µm at 500 µm; the gain alone adds 1200 µm at the end.

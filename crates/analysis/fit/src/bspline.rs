@@ -17,7 +17,7 @@
 //! Measured against SciPy on random knots (`host-tests/tests/scipy_splines.rs`): values, slopes and
 //! fits are the same to 1e-9 of the largest value.
 
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
 /// The largest order: the board runs cubics.
 pub(crate) const MAX_SPLINE_ORDER: usize = 4;

@@ -35,29 +35,29 @@
 //! | [`findings`] | terms as causes with constants, alternatives, and the next test |
 //! | `circular_deviations` | ISO 230-4 |
 //! | `machine_sections` | the sections of the machine file |
-//! | [`page`](mod@page) | the page with the polar plots |
+//! | [`page`](html_report) | the page with the polar plots |
 
 mod analysis;
 pub(crate) mod circular_deviations;
 mod circular_path;
 pub mod findings;
+pub mod html_report;
 mod known_contributions;
 pub(crate) mod machine_sections;
-pub mod page;
 pub mod record;
-mod records_from_runs;
+mod record_reader;
 pub mod search;
 pub mod term_selection;
 pub mod terms;
 
-use trueup_machine::{InputFileError, Machine, RunFile, file::writer::MachineFileEdit};
+use trueup_machine::{InputFileError, Machine, RunFile, machine_file::writer::MachineFileEdit};
 
-pub(crate) use self::records_from_runs::read_circle_records as records;
+pub(crate) use self::record_reader::extract_circle_records as records;
 pub use self::{
     circular_deviations::CircularDeviations,
     findings::{CircleCause, CircleFinding},
-    page::build_page,
-    record::{CircleRecord, Plane},
+    html_report::build_page,
+    record::{CirclePlane, CircleRecord},
 };
 use crate::report::{ExcludedRow, ResidualStatistics};
 
@@ -133,7 +133,7 @@ pub fn fit_circles(
     runs: &[RunFile],
     machine: Option<&Machine>,
 ) -> Result<CircleReport, InputFileError> {
-    let (records, mut warnings) = records_from_runs::read_circle_records(runs, machine)?;
+    let (records, mut warnings) = record_reader::extract_circle_records(runs, machine)?;
     let mut circles: Vec<CircleResult> =
         records.into_iter().map(analysis::analyse_circle).collect();
     let (edit, written) = machine_sections::write_sections(&mut circles, machine, &mut warnings);

@@ -14,16 +14,16 @@
 use trueup_machine::{
     InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::{MachineFileEdit, NewSection, Value},
-    file::{ElongationSource, SensorModel, is_temperature_column},
+    machine_file::writer::{MachineFileEdit, NewSection, Value},
+    machine_file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
 };
 use trueup_numerics::{least_squares::QrSolution, robust};
 
 use crate::{
-    lagged_regression::{self, LaggedRegression, LawColumn},
+    lagged_regression::{self, LaggedRegression, RegressionTerm},
     pooled_rows::{self, PooledRows},
-    report::{FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics},
+    report::{FitDetail, FitParameter, FitReport, FitVerdict, ResidualStatistics},
 };
 
 /// The column that is explained.
@@ -31,7 +31,7 @@ pub(crate) const MEASURED_ELONGATION_COLUMN: &str = "measured_elongation_um";
 
 /// Source and column of the fit.
 #[derive(Clone, Debug, Default)]
-pub struct ElongationOptions {
+pub struct ElongationFitOptions {
     /// The sensor or a temperature; `None`: what the machine file's source says, else the sensor
     /// where the run has its column, else its temperature.
     pub source: Option<ElongationSource>,
@@ -46,7 +46,7 @@ pub struct ElongationOptions {
 pub fn fit_elongation(
     runs: &[UncompensatedRun<'_>],
     machine: Option<&Machine>,
-    options: &ElongationOptions,
+    options: &ElongationFitOptions,
 ) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let by_machine = machine.and_then(|machine| machine.spindle.source);
@@ -54,12 +54,14 @@ pub fn fit_elongation(
     let source =
         options.source.or(options.temperature.as_ref().map(|_| ElongationSource::Temperature));
     match source.or(by_machine) {
-        Some(ElongationSource::Temperature) => fit_by_temperature(&rows, machine, options),
+        Some(ElongationSource::Temperature) => {
+            fit_elongation_by_temperature(&rows, machine, options)
+        }
         Some(ElongationSource::Sensor) => fit_by_sensor(&rows, machine),
         _ if has_counts || rows.common_temperature_columns().is_empty() => {
             fit_by_sensor(&rows, machine)
         }
-        _ => fit_by_temperature(&rows, machine, options),
+        _ => fit_elongation_by_temperature(&rows, machine, options),
     }
 }
 
@@ -93,7 +95,7 @@ fn fit_by_sensor(
         return Err(rows.input_error("sensor_counts does not decide a line"));
     };
     let residuals = pooled_rows::compute_residuals(&columns, &y, &line);
-    let wider = pooled_rows::autocorrelation_inflation(&residuals);
+    let wider = pooled_rows::autocorrelation_inflation_factor(&residuals);
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let held_out = pooled_rows::held_out_residuals(&columns, &y, groups.as_deref());
     let model = SensorModel {
@@ -118,7 +120,7 @@ fn fit_by_sensor(
         report_previous_fit(&mut report, &of_old);
     }
     add_residual_statistics(&mut report, &y, &residuals, held_out, by, wider);
-    warn_curvature(&mut report, &columns, &y, &line);
+    warn_about_curvature(&mut report, &columns, &y, &line);
     set_fit_verdict(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.sensor")
@@ -129,15 +131,15 @@ fn fit_by_sensor(
             .with_header_comment(section_comment(&report));
         report.edit = MachineFileEdit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
-        warn_source_mismatch(&mut report, machine, ElongationSource::Sensor);
+        warn_elongation_source_mismatch(&mut report, machine, ElongationSource::Sensor);
     }
     Ok(report)
 }
 
-fn fit_by_temperature(
+fn fit_elongation_by_temperature(
     rows: &PooledRows<'_>,
     machine: Option<&Machine>,
-    options: &ElongationOptions,
+    options: &ElongationFitOptions,
 ) -> Result<FitReport, InputFileError> {
     let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
     let requested = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
@@ -171,13 +173,13 @@ fn fit_by_temperature(
     check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
 
     let starts = rows.restart_flags(time_s.as_deref());
-    let terms = [LawColumn::Constant, LawColumn::Warm];
+    let terms = [RegressionTerm::Constant, RegressionTerm::LaggedTemperature];
     let design = LaggedRegression::new(time_s.as_deref(), &temperature_c, &starts, &terms, &[]);
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let fitted = design
         .fit(&y, groups.as_deref())
         .ok_or_else(|| rows.input_error(format!("{column} does not decide a line")))?;
-    let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
+    let wider = pooled_rows::autocorrelation_inflation_factor(&fitted.residuals);
     let (constant, k) = (fitted.coefficients[0], fitted.coefficients[1]);
     let reference_c = design.mean_c - constant / k;
     // T₀ = T̄ − c/k
@@ -188,7 +190,7 @@ fn fit_by_temperature(
         FitParameter::fitted("reference_c", reference_c, half),
         fitted.lag_parameter(wider),
     ];
-    report.facts.push(FitFact::text("sensor", column.clone()));
+    report.facts.push(FitDetail::text("sensor", column.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == column) {
         let lagged_c = design.lagged_temperatures_c(old.lag_s);
@@ -210,7 +212,7 @@ fn fit_by_temperature(
             .with_header_comment(section_comment(&report));
         report.edit = MachineFileEdit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("temperature".into())));
-        warn_source_mismatch(&mut report, machine, ElongationSource::Temperature);
+        warn_elongation_source_mismatch(&mut report, machine, ElongationSource::Temperature);
     }
     Ok(report)
 }
@@ -255,7 +257,7 @@ pub(crate) fn check_input_variation(
     if let Some((first, (value, _))) = used.next()
         && used.all(|(_, (x, _))| x == value)
     {
-        let place = rows.location(first, column);
+        let place = rows.value_location(first, column);
         let rule = format!("{column} is {value} in every row: nothing can be fitted to it");
         return Err(InputFileError::new(place, rule));
     }
@@ -277,7 +279,7 @@ pub(crate) fn add_residual_statistics(
     report.held_out = held_out.and_then(|held_out| ResidualStatistics::from_residuals(&held_out));
     report.held_out_by = by;
     if wider > 1.0 {
-        report.facts.push(FitFact::number("intervals_widened", wider));
+        report.facts.push(FitDetail::number("intervals_widened", wider));
     }
     if report.held_out.is_none() {
         report.warnings.push(
@@ -297,8 +299,8 @@ pub(crate) fn add_residual_statistics(
 /// How well the constants of the machine file did on the same rows.
 pub(crate) fn report_previous_fit(report: &mut FitReport, residuals: &[f64]) {
     if let Some(old) = ResidualStatistics::from_residuals(residuals) {
-        report.facts.push(FitFact::number("machine_file_rms_um", old.rms_um));
-        report.facts.push(FitFact::number("machine_file_max_um", old.max_um));
+        report.facts.push(FitDetail::number("machine_file_rms_um", old.rms_um));
+        report.facts.push(FitDetail::number("machine_file_max_um", old.max_um));
     }
 }
 
@@ -351,7 +353,7 @@ pub(crate) fn section_comment(report: &FitReport) -> String {
 }
 
 /// Warns where the machine file goes on using another source.
-pub(crate) fn warn_source_mismatch(
+pub(crate) fn warn_elongation_source_mismatch(
     report: &mut FitReport,
     machine: Option<&Machine>,
     fitted: ElongationSource,
@@ -368,7 +370,12 @@ pub(crate) fn warn_source_mismatch(
 }
 
 /// Warns where a parabola is clearly better than the line.
-fn warn_curvature(report: &mut FitReport, columns: &[Vec<f64>], y: &[f64], line: &QrSolution) {
+fn warn_about_curvature(
+    report: &mut FitReport,
+    columns: &[Vec<f64>],
+    y: &[f64],
+    line: &QrSolution,
+) {
     let Some(x) = columns.get(1) else { return };
     let present = || x.iter().zip(y).filter(|(_, y)| !y.is_nan()).map(|(x, _)| *x);
     let mean = present().sum::<f64>() / present().count() as f64;

@@ -21,19 +21,19 @@ use crate::{pooled_rows, report::FitParameter};
 /// Points of the grid over the lag.
 const LAG_GRID_POINTS: usize = 25;
 /// On held-out rows a lag must be better by this share to be kept.
-const MIN_LAG_GAIN: f64 = 0.02;
+const MIN_RELATIVE_LAG_GAIN: f64 = 0.02;
 
 /// One column of the law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum LawColumn {
+pub(crate) enum RegressionTerm {
     /// 1 in each row: a constant of the law.
     Constant,
     /// L_τ(T) − T̄, in °C.
-    Warm,
+    LaggedTemperature,
     /// The position, in mm.
     Position,
     /// The position times L_τ(T) − T̄, in mm·°C.
-    WarmPosition,
+    PositionTimesTemperature,
 }
 
 /// The law's columns.
@@ -41,7 +41,7 @@ pub(crate) struct LaggedRegression<'a> {
     time_s: Option<&'a [f64]>,
     temperature_c: &'a [f64],
     starts: &'a [bool],
-    terms: &'a [LawColumn],
+    terms: &'a [RegressionTerm],
     positions: &'a [f64],
     /// T̄: near the middle of what was measured, so that the columns are far from dependent.
     pub(crate) mean_c: f64,
@@ -69,7 +69,7 @@ impl<'a> LaggedRegression<'a> {
         time_s: Option<&'a [f64]>,
         temperature_c: &'a [f64],
         starts: &'a [bool],
-        terms: &'a [LawColumn],
+        terms: &'a [RegressionTerm],
         positions: &'a [f64],
     ) -> Self {
         let present = || temperature_c.iter().filter(|t| !t.is_nan());
@@ -108,10 +108,10 @@ impl<'a> LaggedRegression<'a> {
             for (row, value) in column.iter_mut().enumerate() {
                 let warm = lagged[row] - self.mean_c;
                 *value = match term {
-                    LawColumn::Constant => 1.0,
-                    LawColumn::Warm => warm,
-                    LawColumn::Position => self.positions[row],
-                    LawColumn::WarmPosition => self.positions[row] * warm,
+                    RegressionTerm::Constant => 1.0,
+                    RegressionTerm::LaggedTemperature => warm,
+                    RegressionTerm::Position => self.positions[row],
+                    RegressionTerm::PositionTimesTemperature => self.positions[row] * warm,
                 };
             }
         }
@@ -160,7 +160,7 @@ impl<'a> LaggedRegression<'a> {
         let (in_plain, in_lagged) =
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
-        if lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_LAG_GAIN) * plain_rms) {
+        if lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms) {
             let mut plain = plain;
             if let (Some(in_plain), Some(in_lagged)) = (in_plain, in_lagged)
                 && in_lagged < 0.8 * in_plain

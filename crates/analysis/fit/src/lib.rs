@@ -2,7 +2,7 @@
 //!
 //! Each fit takes [runs without what a bridge applied](trueup_machine::applied_offsets::UncompensatedRun) and gives a [`FitReport`]: the constants with their
 //! intervals, the residuals on the rows that were fitted and on rows that were held out, the rows
-//! that were excluded and why, and the [`Edit`](trueup_machine::file::writer::MachineFileEdit) that takes the constants into a machine file. A
+//! that were excluded and why, and the [`Edit`](trueup_machine::machine_file::writer::MachineFileEdit) that takes the constants into a machine file. A
 //! run that no correction makes better is answered with [`FitVerdict::DoNotCompensate`] and the
 //! figures that say so.
 //!
@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`straightness`] | a B-spline with few coefficients; [next to other ways](straightness::method_table) |
 //! | [`pitch`] | position errors of an axis and its backlash |
-//! | [`iso230`] | the figures of ISO 230-2 |
+//! | [`iso230_2`] | the figures of ISO 230-2 |
 //! | [`bspline`] | the basis, and least squares in it |
 //! | [`elongation`] | fits `[spindle.sensor]` and `[spindle.temperature]` |
 //! | [`warmup`] | fits `[spindle.warmup]` |
@@ -25,7 +25,7 @@
 pub mod bspline;
 pub mod circle;
 pub mod elongation;
-pub mod iso230;
+mod iso230_2;
 mod lagged_regression;
 pub mod partial_prediction;
 pub mod pitch;
@@ -37,4 +37,4 @@ pub mod thermal;
 pub mod volume;
 pub mod warmup;
 
-pub use report::{ExcludedRow, FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics};
+pub use report::{ExcludedRow, FitDetail, FitParameter, FitReport, FitVerdict, ResidualStatistics};

@@ -6,9 +6,9 @@
 use trueup_machine::{
     InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::{ElongationSource, LinearAxis, is_temperature_column},
+    machine_file::{ElongationSource, LinearAxis, is_temperature_column},
     model::required_columns,
-    predict::Predictor,
+    predict::RunPredictor,
 };
 
 /// The section that is to be fitted, and is therefore omitted.
@@ -102,14 +102,14 @@ pub fn predict_other_sections(
             missing_columns: missing,
         }));
     }
-    let predictor = Predictor::new(&rest, run)?;
+    let predictor = RunPredictor::new(&rest, run)?;
     let um = predictor.predictions().map(|row| row.model.error_um[axis.index()]).collect();
     Ok(Some(PartialPrediction { um, missing_columns: Vec::new() }))
 }
 
 /// Returns `machine` with those of its laws of heat, of the spindle and added terms whose columns are there, and the columns that are
 /// not. A law that is there and was omitted would be found, and written, a second time.
-pub(crate) fn restrict_to_columns(
+pub(crate) fn restrict_to_available_columns(
     machine: &Machine,
     is_there: impl Fn(&str) -> bool,
 ) -> (Machine, Vec<String>) {

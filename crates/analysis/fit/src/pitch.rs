@@ -38,37 +38,37 @@ mod gantry;
 mod grid_selection;
 mod html_report;
 mod pitch_aliasing;
+mod pitch_report;
+mod pitch_table;
 mod readings;
 mod reversal_difference;
 mod scatter;
-mod summary;
-mod table;
 
 use trueup_machine::{
     InputFileError,
     applied_offsets::UncompensatedRun,
-    file::{Backlash, Feedback, LinearAxis, PitchErrorTable},
+    machine_file::{Backlash, Feedback, LinearAxis, PitchErrorTable},
 };
 
 pub use backlash::{BacklashFit, BacklashWidthRule, fit_backlash};
 pub use gantry::fit_both_drives;
 pub use html_report::build_page;
-pub use pitch_aliasing::aliased_pitches;
+pub use pitch_aliasing::find_aliased_pitches;
 
 use trueup_numerics::repeats::{self, TableSelection};
 
 use self::{
     cross_validation::{CorrectionModel, DirectionSums, cross_validate},
     grid_selection::choose_table_grid,
-    readings::{PitchReading, PitchReadings, ReadingSelection, measured_column_name},
-    summary::{
+    pitch_report::{
         add_measurement_statistics, add_warnings, interpolation_caveat, rejection_reasons,
         suggest_measurement, write_pitch_section,
     },
-    table::TableGrid,
+    pitch_table::TableGrid,
+    readings::{PitchReading, PitchReadings, ReadingSelection, measured_column_name},
 };
 use crate::{
-    iso230::{Iso230Results, TargetReadings},
+    iso230_2::{Iso230Results, TargetReadings},
     report::{FitReport, FitVerdict, ResidualStatistics},
 };
 
@@ -156,7 +156,7 @@ pub fn fit(
         in_order: true,
     };
     let mut readings = PitchReadings::from_run(run, &selection)?;
-    check_coverage(run, axis, &readings, options)?;
+    check_target_coverage(run, axis, &readings, options)?;
     let mut report = FitReport::new("pitch", measured_column_name(axis));
     // The figures of the standard are of all that was read.
     let all = readings.values_by_target();
@@ -211,7 +211,7 @@ pub fn fit(
 }
 
 /// At least two targets, and the directions that are requested.
-fn check_coverage(
+fn check_target_coverage(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     readings: &PitchReadings,

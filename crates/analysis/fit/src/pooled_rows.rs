@@ -67,7 +67,7 @@ impl<'r> PooledRows<'r> {
         let Some((first, rest)) = self.runs.split_first() else { return Vec::new() };
         let names = first.columns().iter().map(|column| column.name.as_str());
         names
-            .filter(|name| trueup_machine::file::is_temperature_column(name))
+            .filter(|name| trueup_machine::machine_file::is_temperature_column(name))
             .filter(|name| rest.iter().all(|run| run.column(name).is_some()))
             .collect()
     }
@@ -82,7 +82,7 @@ impl<'r> PooledRows<'r> {
         (&self.runs[0], usize::MAX)
     }
 
-    pub(crate) fn location(&self, row: usize, column: &str) -> Location {
+    pub(crate) fn value_location(&self, row: usize, column: &str) -> Location {
         let (run, row) = self.locate_row(row);
         run.value_location(row, column)
     }
@@ -169,7 +169,7 @@ impl<'r> PooledRows<'r> {
         column: &str,
     ) -> Vec<ExcludedRow> {
         let say = |outlier: &Outlier| ExcludedRow {
-            place: self.location(outlier.row, column),
+            place: self.value_location(outlier.row, column),
             measured_um: y[outlier.row],
             reason: outlier.exclusion_reason(),
         };
@@ -179,7 +179,7 @@ impl<'r> PooledRows<'r> {
 
 /// Returns how much wider an interval is than independent residuals make it: √((1 + ρ)/(1 − ρ)), ρ the
 /// correlation of neighbours in time (an autoregressive process of first order); at least 1.
-pub(crate) fn autocorrelation_inflation(residuals: &[f64]) -> f64 {
+pub(crate) fn autocorrelation_inflation_factor(residuals: &[f64]) -> f64 {
     let present: Vec<f64> = residuals.iter().copied().filter(|r| !r.is_nan()).collect();
     let squares: f64 = present.iter().map(|r| r * r).sum();
     let products: f64 = present.windows(2).map(|pair| pair[0] * pair[1]).sum();

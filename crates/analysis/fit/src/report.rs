@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use trueup_machine::{Location, file::writer::MachineFileEdit};
+use trueup_machine::{Location, machine_file::writer::MachineFileEdit};
 use trueup_numerics::line::ErrorStatistics;
 
 /// The result of a fit.
@@ -18,7 +18,7 @@ pub struct FitReport {
     /// The constants, in the order in which they are to be read.
     pub parameters: Vec<FitParameter>,
     /// Further figures of this fit.
-    pub facts: Vec<FitFact>,
+    pub facts: Vec<FitDetail>,
     /// A table for people, line by line, of figures that the facts hold in part or whole.
     pub table: String,
     /// The measured values themselves on the rows that were used: what is there without any fit.
@@ -125,16 +125,16 @@ fn significant_decimals(width: f64) -> usize {
 
 /// A figure that only one kind of fit has.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FitFact {
+pub struct FitDetail {
     /// Its name with its unit: `repeatability_um`.
     pub name: String,
     /// Its value, in the unit that the name ends with.
-    pub value: FitFactValue,
+    pub value: FitDetailValue,
 }
 
-/// The value of a [`FitFact`].
+/// The value of a [`FitDetail`].
 #[derive(Clone, Debug, PartialEq)]
-pub enum FitFactValue {
+pub enum FitDetailValue {
     /// One number.
     Number(f64),
     /// Several numbers.
@@ -143,23 +143,23 @@ pub enum FitFactValue {
     Text(String),
 }
 
-impl FitFact {
+impl FitDetail {
     /// Returns a figure of one number.
     #[must_use]
     pub fn number(name: impl Into<String>, value: f64) -> Self {
-        Self { name: name.into(), value: FitFactValue::Number(value) }
+        Self { name: name.into(), value: FitDetailValue::Number(value) }
     }
 
     /// Returns a figure of several numbers.
     #[must_use]
     pub fn numbers(name: impl Into<String>, values: Vec<f64>) -> Self {
-        Self { name: name.into(), value: FitFactValue::Numbers(values) }
+        Self { name: name.into(), value: FitDetailValue::Numbers(values) }
     }
 
     /// Returns a figure in words.
     #[must_use]
     pub fn text(name: impl Into<String>, text: impl Into<String>) -> Self {
-        Self { name: name.into(), value: FitFactValue::Text(text.into()) }
+        Self { name: name.into(), value: FitDetailValue::Text(text.into()) }
     }
 }
 

@@ -36,8 +36,8 @@
 //! ([`ReferenceLine`]): a line that is taken away is named in the result, with its two constants.
 //! Outside the measured range the end values are held, by board and model alike.
 
+mod knot_placement;
 mod knot_selection;
-mod knots;
 mod method_comparison;
 pub mod method_table;
 mod model;
@@ -48,7 +48,7 @@ mod sites;
 
 use std::fmt;
 
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
 pub use method_comparison::{CurveMethod, MethodPerformance};
 pub use residual::ResidualSummary;
@@ -258,7 +258,7 @@ pub fn fit(
         return Err(StraightnessFitError::Tolerance { um });
     }
     let mut sites = Sites::from_readings(along_mm, error_um)?;
-    let line = sites.subtract_reference(options.reference);
+    let line = sites.subtract_reference_line(options.reference);
     let found = SelectedSpline::select(&sites, options);
     let residual = ResidualSummary::from_residuals(&sites.residuals(&found.spline));
     let (noise, standard_error_um) = estimate_noise(&sites, &found);
@@ -335,7 +335,7 @@ fn estimate_noise(sites: &Sites, found: &SelectedSpline) -> (Option<NoiseEstimat
         freedom,
         from_repeats,
     };
-    let noise = match sites.within_degrees_of_freedom() {
+    let noise = match sites.within_site_degrees_of_freedom() {
         freedom @ MIN_DEGREES_OF_FREEDOM.. => Some(noise(sites.within, freedom, true)),
         _ => sites
             .rows

@@ -6,13 +6,13 @@
 use trueup_machine::{
     InputFileError,
     applied_offsets::UncompensatedRun,
-    file::writer::{MachineFileEdit, NewSection, round_to_decimals},
+    machine_file::writer::{MachineFileEdit, NewSection, round_to_decimals},
 };
 use trueup_numerics::repeats;
 
 use crate::{
     elongation::section_comment,
-    report::{ExcludedRow, FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics},
+    report::{ExcludedRow, FitDetail, FitParameter, FitReport, FitVerdict, ResidualStatistics},
     straightness::{self, CurveMethod, ReferenceLine, StraightnessCurve, StraightnessFitOptions},
 };
 
@@ -107,7 +107,7 @@ fn build_report(
     report.table = compared.iter().map(|way| format!("{way}\n")).collect();
     for way in &compared {
         let held_out = way.held_out.map_or(f64::NAN, |left| left.rms_um);
-        report.facts.push(FitFact::text(
+        report.facts.push(FitDetail::text(
             format!("compared: {}", way.way),
             format!(
                 "{} coefficients, {:.3} µm RMS, at held-out positions {held_out:.3} µm RMS",
@@ -115,9 +115,9 @@ fn build_report(
             ),
         ));
     }
-    report.facts.push(FitFact::number("coefficients", spline.control_um.len() as f64));
-    report.facts.push(FitFact::number("positions", fit.positions as f64));
-    report.facts.push(FitFact::text("reference_line", fit.reference.to_string()));
+    report.facts.push(FitDetail::number("coefficients", spline.control_um.len() as f64));
+    report.facts.push(FitDetail::number("positions", fit.positions as f64));
+    report.facts.push(FitDetail::text("reference_line", fit.reference.to_string()));
     if fit.reference != ReferenceLine::AsMeasured {
         report.parameters.push(FitParameter::fixed("line_offset_um", fit.line.offset_um));
         report
@@ -125,12 +125,12 @@ fn build_report(
             .push(FitParameter::fixed("line_slope_um_per_mm", fit.line.slope_um_per_mm));
     }
     if let Some(noise) = fit.noise {
-        report.facts.push(FitFact::number("noise_um", noise.um));
+        report.facts.push(FitDetail::number("noise_um", noise.um));
     }
     if let Some(um) = fit.standard_error_um {
-        report.facts.push(FitFact::number("curve_standard_error_um", um));
+        report.facts.push(FitDetail::number("curve_standard_error_um", um));
     }
-    report.facts.push(FitFact::text("stopped_because", fit.stopped.to_string()));
+    report.facts.push(FitDetail::text("stopped_because", fit.stopped.to_string()));
     if let Some(tolerance) = fit.tolerance_um.filter(|_| !fit.is_within_tolerance) {
         report.unmet.push(format!(
             "the largest residual is {:.3} µm, the tolerance {tolerance} µm: {}",

@@ -22,13 +22,13 @@
 mod outliers;
 mod piecewise_linear;
 mod section;
-mod table;
+mod thermal_table;
 
 use trueup_machine::{
     InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::MachineFileEdit,
-    file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
+    machine_file::writer::MachineFileEdit,
+    machine_file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
     model::thermal_error_um,
 };
 use trueup_numerics::{
@@ -38,15 +38,15 @@ use trueup_numerics::{
 
 use self::{
     section::{report_inseparable_constants, thermal_section},
-    table::FittedTable,
+    thermal_table::FittedTable,
 };
 use crate::{
     elongation::{
         add_residual_statistics, check_input_variation, resolve_temperature_column, set_fit_verdict,
     },
-    lagged_regression::{LaggedFit, LaggedRegression, LawColumn},
+    lagged_regression::{LaggedFit, LaggedRegression, RegressionTerm},
     pooled_rows::{self, PooledRows},
-    report::{FitFact, FitParameter, FitReport, ResidualStatistics},
+    report::{FitDetail, FitParameter, FitReport, ResidualStatistics},
 };
 
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
@@ -102,21 +102,21 @@ pub fn fit(
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let (mode, fitted, mean_c) = data.choose_mode(&rows, requested, groups.as_deref())?;
-    let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
-    report.facts.push(FitFact::text("mode", mode.name()));
-    report.facts.push(FitFact::text("sensor", data.sensor.clone()));
+    let wider = pooled_rows::autocorrelation_inflation_factor(&fitted.residuals);
+    report.facts.push(FitDetail::text("mode", mode.name()));
+    report.facts.push(FitDetail::text("sensor", data.sensor.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == data.sensor) {
         let of_old = data.residuals(old);
         if let Some(old) = ResidualStatistics::from_residuals(&of_old) {
-            report.facts.push(FitFact::number("machine_file_rms_um", old.rms_um));
-            report.facts.push(FitFact::number("machine_file_max_um", old.max_um));
+            report.facts.push(FitDetail::number("machine_file_rms_um", old.rms_um));
+            report.facts.push(FitDetail::number("machine_file_max_um", old.max_um));
         }
     }
 
     let law = LinearLaw { mode, fitted: &fitted, mean_c, wider };
     let mut thermal = law.report_constants(&data, &mut report);
-    let levels = table::temperature_levels_c(&rows, &data);
+    let levels = thermal_table::temperature_levels_c(&rows, &data);
     if let Some(table) = FittedTable::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
         let is_better =
             table.is_better_than_lines(&fitted.residuals, thermal.table.is_some(), mode, wider);
@@ -161,7 +161,13 @@ pub fn fit(
     let (held_out, by) = match &thermal.table {
         Some(table) if table.len() > 2 => {
             let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
-            table::held_out_residuals(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
+            thermal_table::held_out_residuals(
+                &data,
+                mode,
+                thermal.lag_s,
+                &knots,
+                (groups.as_deref(), by),
+            )
         }
         _ => (fitted.held_out.clone(), by),
     };
@@ -250,7 +256,7 @@ impl ThermalData {
         groups: Option<&[usize]>,
     ) -> Result<(ThermalMode, LaggedFit, f64), InputFileError> {
         /// A mode with more terms must be better on held-out rows by this share.
-        const MIN_MODE_GAIN: f64 = 0.05;
+        const MIN_RELATIVE_MODE_GAIN: f64 = 0.05;
         let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
         let modes: Vec<ThermalMode> = match requested {
             Some(mode) => vec![mode],
@@ -269,7 +275,7 @@ impl ThermalData {
             );
             let Some(fitted) = design.fit(&self.y, groups) else { continue };
             // Both are worth it only where each of them is known to be there.
-            let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
+            let wider = pooled_rows::autocorrelation_inflation_factor(&fitted.residuals);
             let is_there = |at: usize| {
                 let size = fitted.coefficients[at].abs();
                 size > wider * fitted.coefficient_half_width(at)
@@ -282,7 +288,7 @@ impl ThermalData {
                 .or(ResidualStatistics::from_residuals(&fitted.residuals))
                 .map_or(f64::NAN, |s| s.rms_um);
             // Position and constant have as many terms: the better one. Both must be worth it.
-            let share = if mode == ThermalMode::Both { 1.0 - MIN_MODE_GAIN } else { 1.0 };
+            let share = if mode == ThermalMode::Both { 1.0 - MIN_RELATIVE_MODE_GAIN } else { 1.0 };
             if best.as_ref().is_none_or(|(least, ..)| judged < share * least) {
                 best = Some((judged, mode, fitted, design.mean_c));
             }
@@ -321,13 +327,18 @@ impl ThermalData {
 }
 
 /// Returns the columns of a mode, K₀'s first.
-fn mode_terms(mode: ThermalMode) -> &'static [LawColumn] {
+fn mode_terms(mode: ThermalMode) -> &'static [RegressionTerm] {
     match mode {
-        ThermalMode::Constant => &[LawColumn::Constant, LawColumn::Warm],
-        ThermalMode::Position => &[LawColumn::Position, LawColumn::WarmPosition],
-        ThermalMode::Both => {
-            &[LawColumn::Constant, LawColumn::Warm, LawColumn::Position, LawColumn::WarmPosition]
+        ThermalMode::Constant => &[RegressionTerm::Constant, RegressionTerm::LaggedTemperature],
+        ThermalMode::Position => {
+            &[RegressionTerm::Position, RegressionTerm::PositionTimesTemperature]
         }
+        ThermalMode::Both => &[
+            RegressionTerm::Constant,
+            RegressionTerm::LaggedTemperature,
+            RegressionTerm::Position,
+            RegressionTerm::PositionTimesTemperature,
+        ],
     }
 }
 
@@ -341,7 +352,7 @@ struct LinearLaw<'f> {
 
 impl LinearLaw<'_> {
     /// T₀ of the line in columns `at` and `at + 1`, and the half width of its interval.
-    fn reference_temperature(&self, at: usize) -> (f64, f64) {
+    fn reference_temperature_with_half_width(&self, at: usize) -> (f64, f64) {
         let (height, slope) = (self.fitted.coefficients[at], self.fitted.coefficients[at + 1]);
         let mut gradient = vec![0.0; self.fitted.coefficients.len()];
         gradient[at] = -1.0 / slope;
@@ -366,7 +377,7 @@ impl LinearLaw<'_> {
         let (name_of_a, name_of_b) = ("constant_um_per_c", "slope_um_per_m_per_c");
         let parameters = &mut report.parameters;
         if self.mode != ThermalMode::Both {
-            let (reference_c, reference_half) = self.reference_temperature(0);
+            let (reference_c, reference_half) = self.reference_temperature_with_half_width(0);
             thermal.reference_c = reference_c;
             let name = match self.mode {
                 ThermalMode::Constant => {
@@ -402,8 +413,8 @@ impl LinearLaw<'_> {
                     let name = format!("slope_um_per_m {at}");
                     parameters.push(FitParameter::fitted(name, row.slope_um_per_m, slope));
                 }
-                let (of_a, _) = self.reference_temperature(0);
-                let (of_b, _) = self.reference_temperature(2);
+                let (of_a, _) = self.reference_temperature_with_half_width(0);
+                let (of_b, _) = self.reference_temperature_with_half_width(2);
                 report.warnings.push(format!(
                     "the constant part is zero at {of_a:.2} degC and the slope at {of_b:.2} \
                      degC, so one reference_c cannot serve both. They are written as a table, \
@@ -413,8 +424,10 @@ impl LinearLaw<'_> {
             } else {
                 // T₀ from both lines, each by how well it knows it; a and b then follow from the
                 // heights at T̄, which are known best.
-                let ((of_a, half_a), (of_b, half_b)) =
-                    (self.reference_temperature(0), self.reference_temperature(2));
+                let ((of_a, half_a), (of_b, half_b)) = (
+                    self.reference_temperature_with_half_width(0),
+                    self.reference_temperature_with_half_width(2),
+                );
                 let (weight_a, weight_b) = (half_a.powi(-2), half_b.powi(-2));
                 let reference_c = (weight_a * of_a + weight_b * of_b) / (weight_a + weight_b);
                 let solution =
@@ -446,7 +459,7 @@ fn fit_common_reference_temperature(
     lag_s: f64,
     start_c: f64,
 ) -> Option<(f64, f64, f64, [f64; 3])> {
-    let model = table::CommonReferenceTemperatureModel {
+    let model = thermal_table::CommonReferenceTemperatureModel {
         lagged_c: data.lagged_temperatures_c(lag_s),
         arm_m: &data.arm_m,
     };

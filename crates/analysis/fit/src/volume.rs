@@ -13,43 +13,45 @@
 //! |---|---|
 //! | [`reading`] | a reading and its pose |
 //! | `read`, `predicted` | rows of run files, without what the machine file predicts |
-//! | [`modes`] | forms of a smooth function |
+//! | [`spline_modes`] | forms of a smooth function |
 //! | `error_parameters` | the errors, and what a unit of each does |
-//! | `kinematics`, [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
+//! | `kinematics`, [`nuisance_parameters`] | the workpiece and the tool, and what is unknown of a set-up |
 //! | `design` | the equations |
-//! | [`mod@estimate`] | constants, noise and sizes |
+//! | [`empirical_bayes`] | constants, noise and sizes |
 //! | [`identifiability`] | what is known, and readings that were held out |
 //! | `next_tests` | the measurement that would settle the rest |
 //! | `section_writer` | sections of the machine file |
 //! | `page` | the page with the curves |
 
 pub(crate) mod design_matrix;
+mod empirical_bayes;
 pub(crate) mod error_parameters;
-pub mod estimate;
 mod html_report;
 pub mod identifiability;
 pub(crate) mod kinematics;
-pub mod modes;
 pub(crate) mod next_tests;
+mod nuisance_parameters;
 mod prediction;
 pub mod reading;
 mod run_reader;
 pub(crate) mod section_writer;
-pub mod setup;
+mod spline_modes;
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{InputFileError, Location, Machine, RunFile, file::writer::MachineFileEdit};
+use trueup_machine::{
+    InputFileError, Location, Machine, RunFile, machine_file::writer::MachineFileEdit,
+};
 use trueup_numerics::robust;
 
 use self::{
     design_matrix::{DesignMatrix, normal_equations},
+    empirical_bayes::{Posterior, Variances, estimate_variances},
     error_parameters::ErrorParameters,
-    estimate::{Posterior, Variances, estimate_variances},
     identifiability::{ErrorAssessment, HeldOutResult},
     kinematics::ForwardKinematics,
+    nuisance_parameters::SetupUncertainty,
     reading::{Pose, ReadingKind, VolumeReading, dot},
-    setup::SetupUncertainty,
 };
 use crate::report::ExcludedRow;
 
@@ -58,11 +60,11 @@ pub use self::{
 };
 
 /// A reading further from the fit, in standard deviations by the median, is a gross error.
-const GROSS_ERROR_LIMIT_SIGMAS: f64 = 6.0;
+const GROSS_ERROR_THRESHOLD_SIGMAS: f64 = 6.0;
 /// The scale of an artefact that nothing is known of, in µm/m.
 const PRIOR_SCALE_STD_UM_PER_M: f64 = 100.0;
 /// The noise before the readings say more, in µm.
-const DEFAULT_NOISE_UM: f64 = 1.0;
+const DEFAULT_READING_NOISE_UM: f64 = 1.0;
 
 /// The stated uncertainties of the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -150,14 +152,14 @@ pub fn fit(
     };
     // The file states an expanded uncertainty.
     let of_file = machine.instrument_um.map(|um| 0.5 * um);
-    let noise_um = options.instrument_um.or(of_file).unwrap_or(DEFAULT_NOISE_UM);
+    let noise_um = options.instrument_um.or(of_file).unwrap_or(DEFAULT_READING_NOISE_UM);
     let poses: Vec<Pose> = readings.iter().map(|reading| reading.pose).collect();
     let points_mm = reference_points(machine, &ForwardKinematics::new(machine, chain), &poses);
     let mut own = machine.clone();
     if let Some(points_mm) = points_mm {
         own.volume.point_mm = points_mm;
     }
-    warn_missing_rotary_lines(&own, &mut warnings);
+    warn_missing_rotary_axis_lines(&own, &mut warnings);
     let constants = ErrorParameters::new(&own, &poses);
     let design = DesignMatrix::new(&own, constants.clone(), &readings);
     let all = normal_equations(&design, &readings, |_| true);
@@ -233,18 +235,20 @@ fn reference_points(
     let tool_mm = poses.iter().map(|pose| pose.tool_mm).sum::<f64>() / count;
     let tip = frame.tip_offset_mm(&Pose { position_mm: middle, angle_deg: [0.0; 3], tool_mm });
     let chain = volume.chain.as_ref()?;
-    Some(trueup_machine::file::LinearAxis::ALL.map(|along| {
+    Some(trueup_machine::machine_file::LinearAxis::ALL.map(|along| {
         let mut point = tip;
         for axis in chain.lever_axes(along) {
             point[axis.index()] += middle[axis.index()];
         }
-        point.map(|mm| trueup_machine::file::writer::round_to_decimals(mm, 3))
+        point.map(|mm| trueup_machine::machine_file::writer::round_to_decimals(mm, 3))
     }))
 }
 
 /// Warns where the line of a rotary axis is not stated.
-fn warn_missing_rotary_lines(machine: &Machine, warnings: &mut Vec<String>) {
-    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes) {
+fn warn_missing_rotary_axis_lines(machine: &Machine, warnings: &mut Vec<String>) {
+    for axis in
+        machine.volume.chain.iter().flat_map(trueup_machine::machine_file::AxisChain::rotary_axes)
+    {
         if !machine.volume.rotary.iter().any(|location| location.axis == axis) {
             warnings.push(format!(
                 "rotary.{}.point_mm is not stated: its line is taken to go through machine zero",
@@ -278,7 +282,10 @@ fn find_gross_errors(
         .into_iter()
         .map(|(kind, mut left)| {
             let scatter = 1.4826 * robust::median(&mut left);
-            (kind, GROSS_ERROR_LIMIT_SIGMAS * scatter.max(0.5 * variances.noise_um[kind.index()]))
+            (
+                kind,
+                GROSS_ERROR_THRESHOLD_SIGMAS * scatter.max(0.5 * variances.noise_um[kind.index()]),
+            )
         })
         .collect();
     readings.iter().zip(left).map(|(reading, left)| left.abs() > limits[&reading.kind]).collect()

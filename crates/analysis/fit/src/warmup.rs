@@ -22,8 +22,8 @@ mod warmup_model;
 use trueup_machine::{
     InputFileError, Machine,
     applied_offsets::UncompensatedRun,
-    file::writer::{MachineFileEdit, NewSection, Value},
-    file::{ElongationSource, Warmup},
+    machine_file::writer::{MachineFileEdit, NewSection, Value},
+    machine_file::{ElongationSource, Warmup},
     model::WarmupState,
 };
 use trueup_numerics::{
@@ -35,11 +35,11 @@ use self::warmup_model::{FreeParameters, WarmupModel, WarmupRecord};
 use crate::{
     elongation::{
         MEASURED_ELONGATION_COLUMN, add_residual_statistics, check_input_variation,
-        report_previous_fit, section_comment, set_fit_verdict, warn_source_mismatch,
+        report_previous_fit, section_comment, set_fit_verdict, warn_elongation_source_mismatch,
     },
     lagged_regression,
     pooled_rows::{self, PooledRows},
-    report::{FitFact, FitParameter, FitReport, ResidualStatistics},
+    report::{FitDetail, FitParameter, FitReport, ResidualStatistics},
 };
 
 /// A further constant is taken where chance gives its gain less than once in this many.
@@ -77,7 +77,7 @@ pub fn fit(
 
     let speeds = distinct_speeds_rpm(spindle_rpm.as_deref(), &y);
     if spindle_rpm.is_some() && speeds.is_empty() {
-        let place = rows.location(0, "spindle_rpm");
+        let place = rows.value_location(0, "spindle_rpm");
         let rule = "spindle_rpm is 0 in every row: a spindle that stands does not warm up";
         return Err(InputFileError::new(place, rule));
     }
@@ -101,7 +101,7 @@ pub fn fit(
     let span = RecordTimeScales::from_record(&record, &y);
     let (shape, fit) = select_model(record, base, &y, &span)
         .ok_or_else(|| rows.input_error("no warm-up can be fitted to these rows"))?;
-    let wider = pooled_rows::autocorrelation_inflation(&fit.residuals);
+    let wider = pooled_rows::autocorrelation_inflation_factor(&fit.residuals);
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let held_out = groups.as_ref().and_then(|groups| {
@@ -119,13 +119,13 @@ pub fn fit(
     if let Some(old) = old {
         report_previous_fit(&mut report, &previous_model_residuals(&record, old, &y));
     }
-    report_each_run(&mut report, &rows, &record, &y);
+    report_parameters_by_run(&mut report, &rows, &record, &y);
     add_residual_statistics(&mut report, &y, &fit.residuals, held_out, by, wider);
     set_fit_verdict(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         report.edit = MachineFileEdit::from_section(warmup_section(&model, &report));
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("warmup".into())));
-        warn_source_mismatch(&mut report, machine, ElongationSource::Warmup);
+        warn_elongation_source_mismatch(&mut report, machine, ElongationSource::Warmup);
     }
     Ok(report)
 }
@@ -244,7 +244,7 @@ fn is_significantly_better(less: &NonlinearFit, more: &NonlinearFit) -> bool {
     let further = more.parameters.len().saturating_sub(less.parameters.len()).max(1) as f64;
     let rows = more.residuals.iter().filter(|residual| !residual.is_nan()).count();
     let degrees = rows.saturating_sub(more.parameters.len()) as f64;
-    let wider = pooled_rows::autocorrelation_inflation(&more.residuals);
+    let wider = pooled_rows::autocorrelation_inflation_factor(&more.residuals);
     let degrees = (degrees / (wider * wider)).max(1.0);
     let variance = more.residual_squares / degrees;
     let gained = (less.residual_squares - more.residual_squares) / further;
@@ -317,7 +317,7 @@ fn report_constants(
              spindle (instrument_zero_um) was taken off and is not in the machine file"
                 .into(),
         );
-        report.facts.push(FitFact::numbers("instrument_zero_um", zeros));
+        report.facts.push(FitDetail::numbers("instrument_zero_um", zeros));
     }
     if ends.is_none() {
         report.warnings.push(format!(
@@ -356,7 +356,7 @@ fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) 
 }
 
 /// t₁, t₂ and Smax of each run alone, where there are several.
-fn report_each_run(
+fn report_parameters_by_run(
     report: &mut FitReport,
     rows: &PooledRows<'_>,
     record: &WarmupRecord<'_>,
@@ -397,13 +397,13 @@ fn report_each_run(
                 model.exponent,
                 model.time_constant_s()
             );
-            report.facts.push(FitFact::text(name, text));
+            report.facts.push(FitDetail::text(name, text));
         }
     }
     if count > 0 {
         report
             .facts
-            .push(FitFact::number("each_run_alone_rms_um", (squares / count as f64).sqrt()));
+            .push(FitDetail::number("each_run_alone_rms_um", (squares / count as f64).sqrt()));
     }
 }
 

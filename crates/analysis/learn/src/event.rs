@@ -38,7 +38,7 @@ impl EventKind {
     }
 
     /// Returns the sentence that says where to look.
-    fn check_instruction(self) -> &'static str {
+    fn inspection_instruction(self) -> &'static str {
         match self {
             Self::ZeroStep => {
                 "Was there a crash, or was the reference touched off or moved? Touch off again (Zero). The constants stay, and \
@@ -114,13 +114,13 @@ impl DetectedEvent {
     /// Returns the sentence for the user: what to check, and between which causes the readings do not decide.
     pub(crate) fn advice(kind: EventKind, alternatives: &[EventKind]) -> String {
         if alternatives.is_empty() {
-            return kind.check_instruction().into();
+            return kind.inspection_instruction().into();
         }
         let all = alternatives.iter().map(|alternative| {
-            format!("{}: {}", alternative.name(), alternative.check_instruction())
+            format!("{}: {}", alternative.name(), alternative.inspection_instruction())
         });
         let all: Vec<String> = all.collect();
-        format!("{} {}", kind.check_instruction(), all.join(" "))
+        format!("{} {}", kind.inspection_instruction(), all.join(" "))
     }
 
     /// Returns the event in one line.

@@ -6,13 +6,14 @@
 //! the estimate is computed anew from its first reading on whenever that changes.
 
 use crate::{
-    constants::{LearnableConstant, unit},
-    detect::{
-        Alternative, DetectedChange, FittedAlternative, RETRACTION_LOG_ODDS, min_zero_step_um,
+    change_detection::{
+        AlternativeHypothesis, DetectedChange, FittedAlternative, RETRACTION_LOG_ODDS,
+        min_zero_step_um,
     },
     event::{DetectedEvent, EventAction, EventKind, round_to_three_digits},
+    filter_history::FilterHistory,
+    learnable_constants::{LearnableConstant, unit},
     learner_state::LearnerState,
-    replay::FilterHistory,
     temperature_rise::TemperatureRise,
 };
 
@@ -46,7 +47,7 @@ pub(crate) fn detect_events(memory: &mut LearnerState, believed: &mut FilterHist
         update_open_event(memory, believed, place);
         return;
     }
-    if let Some(last) = abrupt_events(memory).map(next_event_start).max() {
+    if let Some(last) = abrupt_events(memory).map(earliest_next_event_sequence).max() {
         from = from.max(last);
     }
     detect_next_event(memory, believed, from);
@@ -61,7 +62,7 @@ fn abrupt_events(memory: &LearnerState) -> impl Iterator<Item = &DetectedEvent> 
 
 /// Returns the number of the first reading at which another event may begin. Where constants have changed they are followed first:
 /// what the readings still miss is theirs.
-fn next_event_start(event: &DetectedEvent) -> u64 {
+fn earliest_next_event_sequence(event: &DetectedEvent) -> u64 {
     let readings = if matches!(event.action, EventAction::Shift(_)) {
         MAX_OPEN_EVENT_READINGS as u64
     } else {
@@ -105,7 +106,8 @@ fn detect_next_event(memory: &mut LearnerState, believed: &mut FilterHistory, fr
         .filter_map(|index| Some((index, believed.explain_readings(memory, [index, end], None)?)))
         .filter(|(index, _)| !believed.is_outlier_artefact(memory, *index))
         .collect();
-    let is_scatter = |finding: &DetectedChange| finding.best.alternative == Alternative::Scatter;
+    let is_scatter =
+        |finding: &DetectedChange| finding.best.alternative == AlternativeHypothesis::Scatter;
     // Readings before and after a step scatter as well.
     let certain = all
         .iter()
@@ -147,7 +149,7 @@ fn event_from_finding(
         }
     }
     let zero = std::iter::once(best).chain(&finding.others);
-    let zero = zero.clone().find(|fitted| fitted.alternative == Alternative::Zero);
+    let zero = zero.clone().find(|fitted| fitted.alternative == AlternativeHypothesis::Zero);
     let acting =
         zero.filter(|zero| zero.gain + ZERO_STEP_LOG_ODDS_BONUS > best.gain).unwrap_or(best);
     let is_named = kinds.len() == 1;
@@ -163,7 +165,7 @@ fn event_from_finding(
     let half = 1.96 * best.error;
     let [size, low, high] = [best.size, best.size - half, best.size + half].map(|size| {
         // A thermometer that shows a share m of its rise misses 1/m − 1 of what it shows.
-        if matches!(best.alternative, Alternative::Thermometer(_)) {
+        if matches!(best.alternative, AlternativeHypothesis::Thermometer(_)) {
             100.0 * (1.0 / (1.0 + size) - 1.0)
         } else {
             size * scale
@@ -192,17 +194,17 @@ fn classify_alternative(
     it: &FittedAlternative,
 ) -> (EventKind, Option<String>, f64, String) {
     match it.alternative {
-        Alternative::Zero => (EventKind::ZeroStep, None, 1.0, "µm".into()),
-        Alternative::Constant(index) => {
+        AlternativeHypothesis::Zero => (EventKind::ZeroStep, None, 1.0, "µm".into()),
+        AlternativeHypothesis::Constant(index) => {
             let constant = &memory.constants[index];
             let key = constant.key.clone();
             let unit = unit(&key);
             (EventKind::ConstantChanged, Some(key), constant.believed, unit)
         }
-        Alternative::Thermometer(index) => {
+        AlternativeHypothesis::Thermometer(index) => {
             (EventKind::ThermometerMoved, memory.thermometers.get(index).cloned(), 1.0, "%".into())
         }
-        Alternative::Scatter => (EventKind::ScatterGrown, None, 1.0, "times".into()),
+        AlternativeHypothesis::Scatter => (EventKind::ScatterGrown, None, 1.0, "times".into()),
     }
 }
 
@@ -238,14 +240,14 @@ fn event_action(
     finding: &DetectedChange,
 ) -> EventAction {
     let is_constant = |alternative: &&FittedAlternative| {
-        matches!(alternative.alternative, Alternative::Constant(_))
+        matches!(alternative.alternative, AlternativeHypothesis::Constant(_))
     };
     let constants = finding.all.iter().filter(is_constant);
     let best = constants.max_by(|a, b| a.gain.total_cmp(&b.gain));
     match acting.alternative {
         // A thousandth of a micrometre: this much is written.
-        Alternative::Zero => EventAction::Zero((acting.size * 1e3).round() / 1e3),
-        Alternative::Constant(index) => {
+        AlternativeHypothesis::Zero => EventAction::Zero((acting.size * 1e3).round() / 1e3),
+        AlternativeHypothesis::Constant(index) => {
             let deviation =
                 (2.0 * acting.error).max(acting.size.abs() / 2.0).max(RESTART_RELATIVE_STD);
             let own = (index + 1, acting.size, deviation);
@@ -257,26 +259,28 @@ fn event_action(
                 .iter()
                 .filter(|alternative| alternative.gain > acting.gain - RETRACTION_LOG_ODDS);
             let rises = may_be.filter_map(|alternative| match alternative.alternative {
-                Alternative::Thermometer(index) => rise_index(memory, index),
+                AlternativeHypothesis::Thermometer(index) => rise_index(memory, index),
                 _ => None,
             });
             let others = others.chain(rises).map(|other| (other + 1, 0.0, RESTART_RELATIVE_STD));
             EventAction::Shift(std::iter::once(own).chain(others).collect())
         }
-        Alternative::Thermometer(index) => {
+        AlternativeHypothesis::Thermometer(index) => {
             if let Some(place) = rise_index(memory, index) {
                 let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0);
                 return EventAction::Shift(vec![(place + 1, acting.size, deviation)]);
             }
             // The constant that stands in best for it, roughly.
             let stands_in = best.and_then(|best| match best.alternative {
-                Alternative::Constant(index) => Some((index + 1, best.size, best.size.abs() / 2.0)),
+                AlternativeHypothesis::Constant(index) => {
+                    Some((index + 1, best.size, best.size.abs() / 2.0))
+                }
                 _ => None,
             });
             let of_air = values_affected_by_air(memory, stands_in.map(|entry| entry.0));
             EventAction::Shift(stands_in.into_iter().chain(of_air).collect())
         }
-        Alternative::Scatter => EventAction::Scatter(acting.size),
+        AlternativeHypothesis::Scatter => EventAction::Scatter(acting.size),
     }
 }
 
@@ -284,10 +288,10 @@ fn event_action(
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, file::Quantity};
+    use trueup_machine::{MachineFile, machine_file::Quantity};
 
     use super::*;
-    use crate::reconcile::reconcile_state;
+    use crate::state_reconciliation::reconcile_state;
 
     /// Returns the keys of what a moved thermometer frees.
     fn freed(laws: &str, quantity: Quantity) -> Vec<String> {
@@ -330,9 +334,12 @@ mod tests {
             action,
             is_open: false,
         };
-        assert_eq!(next_event_start(&event(EventAction::Shift(vec![(1, 0.3, 0.25)]))), 124);
+        assert_eq!(
+            earliest_next_event_sequence(&event(EventAction::Shift(vec![(1, 0.3, 0.25)]))),
+            124
+        );
         // Of a step the constants know nothing: the next crash may be tomorrow.
-        assert_eq!(next_event_start(&event(EventAction::Zero(12.0))), 101);
-        assert_eq!(next_event_start(&event(EventAction::Nothing)), 101);
+        assert_eq!(earliest_next_event_sequence(&event(EventAction::Zero(12.0))), 101);
+        assert_eq!(earliest_next_event_sequence(&event(EventAction::Nothing)), 101);
     }
 }

@@ -1,9 +1,9 @@
 //! The numbers of a machine file with what was learned.
 
-use trueup_machine::{Machine, MachineFile, file::Quantity};
+use trueup_machine::{Machine, MachineFile, machine_file::Quantity};
 
 use crate::{
-    constants::{self, LearnableConstant},
+    learnable_constants::{self, LearnableConstant},
     learner_state::{LearnerState, MachineIdentity},
 };
 
@@ -16,7 +16,7 @@ pub(crate) fn applied_values(
     machine: &Machine,
     quantity: Quantity,
 ) -> Vec<f64> {
-    let zero = match constants::zero_location(machine, quantity) {
+    let zero = match learnable_constants::zero_location(machine, quantity) {
         Some((_, from, per_um)) if memory.applied[0].abs() > 0.01 => {
             // A growth of k·(1 + x) moves its reference by as much less.
             let grown =
@@ -66,12 +66,12 @@ pub(crate) fn apply_values_to_source(
         .filter(|(constant, value)| constant.believed != **value)
         .map(|(constant, value)| (constant.key.clone(), *value))
         .collect();
-    if let Some((key, from, _)) = constants::zero_location(machine, quantity)
+    if let Some((key, from, _)) = learnable_constants::zero_location(machine, quantity)
         && all[0] != from
     {
         changed.push((key.into(), all[0]));
     }
-    constants::replace_constants(source, &changed)
+    learnable_constants::replace_constants(source, &changed)
 }
 
 /// Six digits: a hundredth of what any of them is known to.
@@ -85,9 +85,10 @@ impl LearnerState {
     #[must_use]
     pub fn apply_to_source(&self, source: &str, path: &std::path::Path) -> Option<String> {
         let machine = MachineFile::parse(source, path).ok()?;
-        let quantity = constants::quantity_by_name(&self.quantity)?;
+        let quantity = learnable_constants::quantity_by_name(&self.quantity)?;
         let owner = MachineIdentity::from_machine(&machine);
-        let constants = constants::learnable_constants(&machine, quantity, self.air.as_deref());
+        let constants =
+            learnable_constants::learnable_constants(&machine, quantity, self.air.as_deref());
         let is_same = self.machine.is_same_as(&owner) && constants == self.constants;
         is_same.then(|| apply_values_to_source(source, &machine, quantity, self))?
     }

@@ -18,7 +18,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{FilterOutcome, RlsFilter};
+use crate::rls_filter::{FilterOutcome, RlsFilter};
 
 const SECONDS_PER_HOUR: f64 = 3600.0;
 const SECONDS_PER_DAY: f64 = 24.0 * SECONDS_PER_HOUR;
@@ -171,7 +171,7 @@ impl FilterBank {
         let (by_file, _) = self.file.process_reading(g, y_um);
         let (by_learned, fate) = self.learned.process_reading(g, y_um);
         // One bad reading would dominate a mean.
-        if !matches!(fate, FilterOutcome::Refused { .. }) {
+        if !matches!(fate, FilterOutcome::Rejected { .. }) {
             self.missed_um.push([y_um.abs(), (y_um - learned_um).abs()]);
         }
         if self.missed_um.len() > COMPARISON_WINDOW_READINGS {
@@ -230,7 +230,7 @@ impl FilterMixture {
 
 #[cfg(test)]
 mod tests {
-    use trueup_numerics::random::Generator;
+    use trueup_numerics::random::RandomGenerator;
 
     use super::*;
 
@@ -242,7 +242,7 @@ mod tests {
     /// probe repeats to 0.8 µm, what wanders has 0.6 µm and a memory of an hour, each morning stands 0.5 µm elsewhere,
     /// one reading in twenty is bad. Returns how often the file was left, and after how many readings first.
     fn lived(readings: usize, seed: u64, off: impl Fn(usize) -> f64) -> (usize, Option<usize>) {
-        let mut dice = Generator::new(seed);
+        let mut dice = RandomGenerator::new(seed);
         let mut bank = FilterBank::new(&[5.0, 0.25], 1.0);
         let (mut wander_um, mut morning_um) = (0.0, 0.0);
         let (mut left, mut first) = (0, None);

@@ -1,11 +1,12 @@
 //! Sentences for the user about what was learned from a record.
 
 use crate::{
-    filter_bank::DECISION_LIKELIHOOD_RATIO, limits::LearningLimits, replay::FilterHistory,
+    filter_bank::DECISION_LIKELIHOOD_RATIO, filter_history::FilterHistory,
+    learning_limits::LearningLimits,
 };
 
 /// Returns which of the two is believed, in a sentence.
-pub(crate) fn describe_belief(believed: &FilterHistory) -> String {
+pub(crate) fn describe_applied_model(believed: &FilterHistory) -> String {
     let bank = &believed.bank;
     let (count, file_um, own_um) = bank.mean_absolute_errors();
     let figures = match count {

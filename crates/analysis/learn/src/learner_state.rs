@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use trueup_machine::Machine;
 
 use crate::{
-    constants::LearnableConstant, event::DetectedEvent, filter_bank::FilterBank,
+    event::DetectedEvent, filter_bank::FilterBank, learnable_constants::LearnableConstant,
     wear_regression::RegressionSums,
 };
 
@@ -26,7 +26,7 @@ const MAX_SEEN_READINGS: usize = 12_000;
 /// Digits of a hash.
 const HASH_DIGIT_COUNT: usize = 8;
 /// Changes that are listed: one a day at most, a year and a half of days.
-const MAX_CHANGES: usize = 400;
+const MAX_STORED_CHANGES: usize = 400;
 
 /// The form that is written.
 const SCHEMA_VERSION: u32 = 3;
@@ -202,7 +202,7 @@ impl LearnerState {
             serde_json::from_str(text).map_err(|error| error.to_string())?;
         let memory: Self = match schema {
             SCHEMA_VERSION => serde_json::from_str(text).map_err(|error| error.to_string())?,
-            PREVIOUS_SCHEMA_VERSION => read_previous_schema(text)?,
+            PREVIOUS_SCHEMA_VERSION => read_previous_schema_state(text)?,
             other => {
                 return Err(format!(
                     "schema is {other}, and this version reads {SCHEMA_VERSION}: --reset begins anew and keeps a backup"
@@ -293,13 +293,13 @@ impl LearnerState {
     /// Adds a change to the list.
     pub(crate) fn record_change(&mut self, change: DailyChange) {
         self.changes.push(change);
-        if self.changes.len() > MAX_CHANGES {
+        if self.changes.len() > MAX_STORED_CHANGES {
             self.changes.remove(0);
         }
     }
 
     /// Returns the number of the next reading.
-    pub(crate) fn next_sequence(&self) -> u64 {
+    pub(crate) fn next_sequence_number(&self) -> u64 {
         self.first + self.window.len() as u64
     }
 
@@ -337,7 +337,7 @@ struct LegacyLearnerState {
 }
 
 /// Reads the form before this one; nothing of it is lost but the way back, which stays in the backup. Its owner has no name yet: the old form did not say whose it was.
-fn read_previous_schema(text: &str) -> Result<LearnerState, String> {
+fn read_previous_schema_state(text: &str) -> Result<LearnerState, String> {
     let old: LegacyLearnerState = serde_json::from_str(text).map_err(|error| error.to_string())?;
     let machine = MachineIdentity { name: String::new(), serial: None };
     Ok(LearnerState {

@@ -27,30 +27,30 @@
 #![forbid(unsafe_code)]
 
 pub mod calibration_monitoring;
-mod constants;
-mod detect;
+mod change_detection;
 mod event;
 mod event_monitor;
 mod file_update;
-mod filter;
 mod filter_bank;
-mod learn;
+mod filter_history;
+mod learnable_constants;
+mod learner;
 mod learner_notes;
 mod learner_state;
-mod limits;
+mod learning_limits;
 pub mod live_update;
 mod probe_checks;
 mod readings;
-mod reconcile;
-mod replay;
-mod sections;
+mod rls_filter;
+mod section_lookup;
+mod state_reconciliation;
 mod temperature_rise;
 mod wear;
 mod wear_regression;
 
-pub use constants::LearnableConstant;
 pub use event::{DetectedEvent, EventKind};
-pub use learn::{LearningResult, ReadingOutcome, learn_from_run};
+pub use learnable_constants::LearnableConstant;
+pub use learner::{LearningResult, ReadingOutcome, learn_from_run};
 pub use learner_state::{DailyChange, LearnerState, MachineIdentity};
-pub use limits::LearningLimits;
+pub use learning_limits::LearningLimits;
 pub use live_update::LiveUpdate;

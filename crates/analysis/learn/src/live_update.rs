@@ -13,18 +13,18 @@
 //! An axis has one share: where its constant and its slope have changed by different ones, where a backlash, a
 //! table or the amplitude of a term has changed, the bridge cannot have it before the file is loaded.
 
-use trueup_core::learned::{LearnedLimits, PART_COUNT};
+use trueup_core::learned::{LEARNED_PART_COUNT, LearnedLimits};
 use trueup_machine::{
     InputFileError, Machine, compile,
-    decompile::changes::describe_changes,
-    file::{ElongationSource, LearnedChangeLimits, LinearAxis},
+    decompile::calibration_changes::describe_changes,
+    machine_file::{ElongationSource, LearnedChangeLimits, LinearAxis},
 };
 
 /// Units of a share, and of the zero in µm.
-const UNITS_PER_SHARE: f64 = 1e5;
-const UNITS_PER_UM: f64 = 1e3;
+const UNITS_PER_FRACTION: f64 = 1e5;
+const ZERO_UNITS_PER_UM: f64 = 1e3;
 /// The parts, as a user calls them.
-const PART_NAMES: [&str; PART_COUNT] = [
+const LEARNED_PART_NAMES: [&str; LEARNED_PART_COUNT] = [
     "growth of the spindle",
     "expansion of X",
     "expansion of Y",
@@ -36,7 +36,7 @@ const PART_NAMES: [&str; PART_COUNT] = [
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LiveUpdate {
     /// Each part, in the bridge's units: 10⁻⁵ of itself, the zero in nm.
-    pub amounts: [i16; PART_COUNT],
+    pub amounts: [i16; LEARNED_PART_COUNT],
     /// The parts that it cannot take, a sentence each: these need the new file, at rest.
     pub rest: Vec<String>,
 }
@@ -51,12 +51,12 @@ impl LiveUpdate {
         let mut sent = runs.clone();
         let mut live = Self::default();
         let [share, zero_um] = apply_growth_difference(&mut sent, learned);
-        live.request_units(0, share * UNITS_PER_SHARE, runs);
+        live.request_units(0, share * UNITS_PER_FRACTION, runs);
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             let share = apply_expansion_difference(&mut sent, learned, axis);
-            live.request_units(place + 1, share * UNITS_PER_SHARE, runs);
+            live.request_units(place + 1, share * UNITS_PER_FRACTION, runs);
         }
-        live.request_units(PART_COUNT - 1, zero_um * UNITS_PER_UM, runs);
+        live.request_units(LEARNED_PART_COUNT - 1, zero_um * ZERO_UNITS_PER_UM, runs);
         // Caps do not make a correction.
         sent.limits.learned = learned.limits.learned;
         let [sent, learned] = [compile(&sent)?, compile(learned)?];
@@ -75,7 +75,7 @@ impl LiveUpdate {
         if held != units {
             self.rest.push(format!(
                 "{}: {:+.3} was learned, [limits.learned] permits {:.1}: the rest only by the new file",
-                PART_NAMES[part],
+                LEARNED_PART_NAMES[part],
                 units / 1_000.0,
                 most / 1_000.0
             ));
@@ -86,10 +86,10 @@ impl LiveUpdate {
 
 /// These amounts in words; `None`: all are 0.
 #[must_use]
-pub fn describe_amounts(amounts: &[i32; PART_COUNT]) -> Option<String> {
-    let parts = PART_NAMES.into_iter().zip(amounts).enumerate();
+pub fn describe_amounts(amounts: &[i32; LEARNED_PART_COUNT]) -> Option<String> {
+    let parts = LEARNED_PART_NAMES.into_iter().zip(amounts).enumerate();
     let parts = parts.filter(|(_, (_, amount))| **amount != 0).map(|(part, (name, amount))| {
-        let unit = if part == PART_COUNT - 1 { "µm" } else { "%" };
+        let unit = if part == LEARNED_PART_COUNT - 1 { "µm" } else { "%" };
         format!("{name} {:+.3} {unit}", f64::from(*amount) / 1_000.0)
     });
     let parts: Vec<String> = parts.collect();
@@ -217,7 +217,7 @@ mod tests {
     #[test]
     fn what_no_share_can_say_or_no_cap_permits_needs_the_new_file() {
         let it = live(&[("width_um = 4.0", "width_um = 5.5")]);
-        assert_eq!(it.amounts, [0; PART_COUNT]);
+        assert_eq!(it.amounts, [0; LEARNED_PART_COUNT]);
         assert_eq!(it.rest, ["X: backlash, up to 1.50 µm: only by the new file"]);
         // The slope has changed, the constant has not.
         let it = live(&[("14.21", "14.9205")]);
@@ -240,7 +240,7 @@ mod tests {
                 lag_s = 0.0\n[axis.x]",
             ),
         ]);
-        assert_eq!(it.amounts, [0; PART_COUNT]);
+        assert_eq!(it.amounts, [0; LEARNED_PART_COUNT]);
         assert!(!it.rest.is_empty());
     }
 

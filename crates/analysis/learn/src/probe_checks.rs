@@ -9,7 +9,7 @@ const SECONDS_PER_DAY: f64 = 86_400.0;
 /// After this many days without a check one is requested: four weeks.
 const MAX_CHECK_INTERVAL_DAYS: f64 = 28.0;
 /// This many checks say whether they drift: two of them are on a line.
-const MIN_CHECKS: usize = 4;
+const MIN_DRIFT_CHECKS: usize = 4;
 /// Standard errors of the slope at which a drift is certain: once in 10⁶ of normal noise.
 const MIN_DRIFT_T_VALUE: f64 = 5.0;
 
@@ -36,7 +36,7 @@ pub(crate) fn add_check(memory: &mut LearnerState, time_s: Option<f64>, um: f64,
             ci95,
             check: DetectedEvent::advice(EventKind::ProbeDrift, &[]),
             alternatives: Vec::new(),
-            sequence: memory.next_sequence(),
+            sequence: memory.next_sequence_number(),
             action: EventAction::Nothing,
             is_open: false,
         });
@@ -46,7 +46,7 @@ pub(crate) fn add_check(memory: &mut LearnerState, time_s: Option<f64>, um: f64,
 /// Returns the drift from the first check to the last in µm and half its 95 % interval, where it is certain. A check
 /// repeats to what checks scatter about their line, and no better than a tenth of the scatter of a reading.
 fn estimate_drift(checks: &[[f64; 2]], scatter_um: f64) -> Option<[f64; 2]> {
-    if checks.len() < MIN_CHECKS {
+    if checks.len() < MIN_DRIFT_CHECKS {
         return None;
     }
     let count = checks.len() as f64;

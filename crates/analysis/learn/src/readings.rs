@@ -1,6 +1,6 @@
 //! The readings of a record: rows in which the reference was measured, or the probe was checked.
 
-use trueup_machine::{InputFileError, RunFile, file::Quantity};
+use trueup_machine::{InputFileError, RunFile, machine_file::Quantity};
 
 use crate::learner_state::fnv1a_64;
 

@@ -10,16 +10,16 @@
 //! the board.
 
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, Value};
-use trueup_core::dimensions::MAX_TERMS;
+use trueup_core::design_parameters::MAX_TERMS;
 use trueup_machine::{
     Machine, RunFile,
-    file::{ElongationSource, Quantity},
+    machine_file::{ElongationSource, Quantity},
 };
 
-use crate::sections::find_section;
+use crate::section_lookup::find_section;
 
 /// Words of a column's name that say: the air.
-const AIR_COLUMN_WORDS: [&str; 4] = ["air", "ambient", "hall", "room"];
+const AIR_COLUMN_KEYWORDS: [&str; 4] = ["air", "ambient", "hall", "room"];
 /// Terms of a board that a rise is, at most: two temperatures, at the zero and over the position.
 const MAX_RISE_TERMS: usize = 4;
 
@@ -27,7 +27,7 @@ const MAX_RISE_TERMS: usize = 4;
 pub(crate) fn air_column_name(run: &RunFile) -> Option<String> {
     let names = run.columns().iter().map(|column| &column.name);
     let mut names = names.filter(|name| name.starts_with("temp_") && name.ends_with("_c"));
-    names.find(|name| name.split('_').any(|word| AIR_COLUMN_WORDS.contains(&word))).cloned()
+    names.find(|name| name.split('_').any(|word| AIR_COLUMN_KEYWORDS.contains(&word))).cloned()
 }
 
 /// Returns the keys of the rises over `air_column_name` by which a quantity may go.
@@ -148,10 +148,10 @@ fn append_term(document: &mut DocumentMut, keys: Vec<(&str, Value)>) -> Option<(
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, compile, predict::Predictor};
+    use trueup_machine::{MachineFile, compile, predict::RunPredictor};
 
     use super::*;
-    use crate::{constants::replace_constants, live_update::LiveUpdate};
+    use crate::{learnable_constants::replace_constants, live_update::LiveUpdate};
 
     const INPUTS: &str = "[inputs]\ntemp_screw_c = { channel = 0, kind = \"pt100\" }\n\
         temp_air_c = { channel = 1, kind = \"pt100\" }\n";
@@ -177,7 +177,7 @@ mod tests {
         assert_eq!(keys, ["axis.x.thermal.temp_screw_c/temp_air_c"]);
         let predicted = |text: &str| {
             let machine = machine(text);
-            let rows = Predictor::new(&machine, &run).expect("a prediction");
+            let rows = RunPredictor::new(&machine, &run).expect("a prediction");
             rows.model_values().map(|values| values.to_array()[1]).next().expect("a row")
         };
         let learned =

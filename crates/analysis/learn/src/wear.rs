@@ -12,8 +12,8 @@
 //! forgets, and lags behind. It is wear when s differs from 0 by [`MIN_SLOPE_SIGMAS`] standard errors.
 
 use crate::{
-    constants::LearnableConstant,
     event::{DetectedEvent, EventAction, EventKind, round_to_three_digits},
+    learnable_constants::LearnableConstant,
     learner_state::{LearnerState, StoredReading},
     wear_regression::{MIN_SLOPE_SIGMAS, RegressionSums},
 };
@@ -63,7 +63,7 @@ pub(crate) fn backlash_observations(
 }
 
 /// Takes the window's first reading into the sums: it leaves the window.
-pub(crate) fn absorb_oldest_reading(memory: &mut LearnerState) {
+pub(crate) fn accumulate_oldest_reading(memory: &mut LearnerState) {
     let mut worn = std::mem::take(&mut memory.worn);
     add_readings(memory, 0..1, &mut worn);
     memory.worn = worn;
@@ -148,7 +148,7 @@ pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
             ci95: [low, high],
             check: DetectedEvent::advice(EventKind::Wear, &[]),
             alternatives: Vec::new(),
-            sequence: memory.next_sequence() - 1,
+            sequence: memory.next_sequence_number() - 1,
             action: EventAction::Nothing,
             is_open: false,
         });

@@ -7,7 +7,7 @@ pub(crate) const MIN_SLOPE_SIGMAS: f64 = 6.0;
 /// Standard errors from which s₀ is another one: as alternatives are distinguished.
 const MIN_INTERCEPT_SIGMAS: f64 = 4.0;
 /// Readings in the negative direction that a line needs: a month of two a day.
-const MIN_READINGS: f64 = 30.0;
+const MIN_WEAR_READINGS: f64 = 30.0;
 
 /// Sums over the readings of one backlash, as far as they have left the window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -33,7 +33,7 @@ impl RegressionSums {
         let ([one, t, tt], [r, rt]) = (self.gg, self.gr);
         let determinant = one * tt - t * t;
         // Readings at one time have no line.
-        if self.n < MIN_READINGS || determinant <= 1e-9 * one * tt {
+        if self.n < MIN_WEAR_READINGS || determinant <= 1e-9 * one * tt {
             return None;
         }
         let start = (tt * r - t * rt) / determinant;

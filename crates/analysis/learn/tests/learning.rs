@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_campaigns::year::{MachineKind, YearConfig, simulate_year};
+use trueup_campaigns::simulated_year::{MachineKind, YearConfig, simulate_year};
 use trueup_learn::{EventKind, LearnerState, LearningLimits, LearningResult, learn_from_run};
 use trueup_machine::{MachineFile, RunFile};
 

@@ -5,9 +5,9 @@
 
 use std::{ops::Range, path::Path};
 
-use trueup_campaigns::month::{EVALUATION_SEEDS, WorkDay, simulate_month};
+use trueup_campaigns::simulated_month::{EVALUATION_SEEDS, WorkDay, simulate_month};
 use trueup_learn::{LearnerState, LearningLimits, learn_from_run};
-use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 
 fn run(day: &WorkDay) -> RunFile {
     RunFile::from_reader(day.csv.as_bytes(), Path::new("day.csv"))
@@ -18,7 +18,7 @@ fn run(day: &WorkDay) -> RunFile {
 fn left(machine: &str, day: &WorkDay) -> (f64, f64) {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
     let run = run(day);
-    let predictor = Predictor::new(&machine, &run).expect("a prediction");
+    let predictor = RunPredictor::new(&machine, &run).expect("a prediction");
     let rows = predictor.model_values().zip(&day.truth_um).zip(&day.works);
     rows.filter(|(_, works)| **works).fold((0.0, 0.0), |(sum, count), ((values, truth_um), _)| {
         (sum + (truth_um - values.elongation_um).powi(2), count + 1.0)

@@ -7,7 +7,7 @@ use crate::{html::escape_html, number::axis_ticks, point_reduction};
 const CHART_WIDTH: f64 = 480.0;
 const CHART_HEIGHT: f64 = 290.0;
 /// Left, right, top, bottom: room for the numbers and the names of the axes.
-const MARGINS: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
+const CHART_MARGINS: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
 
 /// Colours by what they stand for: the same on every page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,7 +64,7 @@ impl Chart {
     #[must_use]
     pub fn to_figure(&self) -> String {
         let Some([x, y]) = self.extent() else { return String::new() };
-        let [left, right, top, bottom] = MARGINS;
+        let [left, right, top, bottom] = CHART_MARGINS;
         let at_x =
             |value: f64| left + (value - x[0]) / (x[1] - x[0]) * (CHART_WIDTH - left - right);
         let at_y = |value: f64| {
@@ -141,13 +141,13 @@ impl Chart {
         let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
         svg.insert_str(inside, STANDALONE_STYLE);
         let legend = legend_entries(&self.series);
-        let share = (CHART_WIDTH - MARGINS[0]) / legend.len().max(1) as f64;
+        let share = (CHART_WIDTH - CHART_MARGINS[0]) / legend.len().max(1) as f64;
         for (number, series) in legend.into_iter().enumerate() {
             let _ = write!(
                 svg,
                 "<text class=\"{}\" x=\"{:.0}\" y=\"{:.0}\">● {}</text>",
                 series.colour.css_class(),
-                MARGINS[0] + share * number as f64,
+                CHART_MARGINS[0] + share * number as f64,
                 height - 6.0,
                 escape_html(&series.name)
             );
@@ -257,7 +257,7 @@ mod tests {
         let (_, dots) = figure.split_once("class=\"dots before\" d=\"").expect("dots");
         for dot in dots.split("h0").filter_map(|dot| dot.strip_prefix('M')) {
             let x: f64 = dot.split(' ').next().and_then(|x| x.parse().ok()).expect("a number");
-            assert!((MARGINS[0]..=CHART_WIDTH - MARGINS[1]).contains(&x), "{x}");
+            assert!((CHART_MARGINS[0]..=CHART_WIDTH - CHART_MARGINS[1]).contains(&x), "{x}");
         }
     }
 }

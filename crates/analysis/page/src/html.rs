@@ -60,12 +60,12 @@ pub const NEXT_COMMANDS_HEADING: &str = "Next, in a terminal:";
 
 /// A page that is being written.
 #[derive(Clone, Debug)]
-pub struct Page {
+pub struct HtmlPage {
     title: String,
     body: String,
 }
 
-impl Page {
+impl HtmlPage {
     /// Returns a page of this title, which is also its first heading.
     #[must_use]
     pub fn new(title: &str) -> Self {
@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn a_page_stands_alone_and_what_a_user_wrote_is_text() {
-        let mut page = Page::new("A <script>");
+        let mut page = HtmlPage::new("A <script>");
         page.add_card("good", "All right", &["1 < 2"]);
         let mut table = HtmlTable::new(&["a", "b"]);
         table.add_row(&["<b>", "2"]);

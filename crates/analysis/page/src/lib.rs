@@ -10,23 +10,23 @@
 //! ```
 #![forbid(unsafe_code)]
 
-mod bars;
+mod bar_chart;
 mod chart;
-mod forest;
+mod forest_plot;
 mod html;
 mod hyphen_breaks;
 mod number;
-mod origin;
 mod point_reduction;
-mod polar;
+mod polar_plot;
+mod provenance;
 
-pub use bars::BarChart;
+pub use bar_chart::BarChart;
 pub use chart::{Chart, ChartSeries, ColourRole};
-pub use forest::{ForestPlot, ForestRow, ValueWithInterval};
-pub use html::{HtmlTable, NEXT_COMMANDS_HEADING, Page, commands_html, escape_html};
+pub use forest_plot::{ForestPlot, ForestRow, ValueWithInterval};
+pub use html::{HtmlPage, HtmlTable, NEXT_COMMANDS_HEADING, commands_html, escape_html};
 pub use number::{
     choose_time_unit, decimals_for_half_width, format_micrometres, format_significant,
     format_with_interval,
 };
-pub use origin::Provenance;
-pub use polar::PolarPlot;
+pub use polar_plot::PolarPlot;
+pub use provenance::Provenance;

@@ -113,11 +113,11 @@ fn fft(a: &mut [Complex]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Generator;
+    use crate::random::RandomGenerator;
 
     #[test]
     fn sums_are_those_of_plain_sines_at_any_count() {
-        let mut generator = Generator::new(8);
+        let mut generator = RandomGenerator::new(8);
         for (points, count) in [(1, 1), (20, 3), (300, 64), (1200, 900), (3000, 4001)] {
             let at: Vec<f64> = (0..points).map(|_| 700.0 * generator.uniform() - 90.0).collect();
             let values: Vec<f64> = (0..points).map(|_| generator.normal()).collect();

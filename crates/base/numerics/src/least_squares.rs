@@ -5,7 +5,7 @@
 //! | `givens_qr` | y = c₁·x₁ + … + cₚ·xₚ, row by row, in memory of p² |
 //! | [`nonlinear`] | y = f(p), by Levenberg-Marquardt, from a start |
 //! | [`separable`] | y = c₁·f₁(q) + …: a grid over q, the c by linear least squares inside, then all together |
-//! | [`normal`] | y = c₁·x₁ + … + cₚ·xₚ, columns at a time, for searches |
+//! | [`normal_equations`] | y = c₁·x₁ + … + cₚ·xₚ, columns at a time, for searches |
 //!
 //! All but the last fold the rows one by one into a triangle R by Givens rotations, the QR factorisation
 //! of rows that need not be kept: no normal equations, so no square of the condition number, and
@@ -16,7 +16,7 @@
 
 pub(crate) mod givens_qr;
 pub mod nonlinear;
-pub mod normal;
+pub mod normal_equations;
 pub mod separable;
 
 pub use givens_qr::{DependentColumn, GivensQr, QrSolution};

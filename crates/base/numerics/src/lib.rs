@@ -2,7 +2,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`blocks`] | what a term is worth on blocks that were held out |
+//! | [`block_resampling`] | what a term is worth on blocks that were held out |
 //! | [`fourier`] | Fourier sums over points at any spacing |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`](mod@line) | a straight line, judged on the rows that it was not fitted to |
@@ -14,7 +14,7 @@
 //! | [`robust`] | finds gross errors |
 #![forbid(unsafe_code)]
 
-pub mod blocks;
+pub mod block_resampling;
 mod distributions;
 pub mod fourier;
 pub mod least_squares;

@@ -15,7 +15,7 @@
 //! t_c is at most [`max_autocorrelation_time`]: a longer one cannot be distinguished from structure in a record of that
 //! length, and would let the noise explain everything.
 
-use crate::random::Generator;
+use crate::random::RandomGenerator;
 
 /// t_c in steps and the white share.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,12 +140,12 @@ impl Whitener {
     /// as all of them.
     pub fn whiten_columns_into(&self, columns: &[&Vec<f64>], out: &mut [f64]) {
         /// Columns side by side: one alone waits for each step.
-        const LANES: usize = 4;
+        const SIMD_LANES: usize = 4;
         let rows = self.decay.len();
         if rows == 0 {
             return;
         }
-        for (columns, out) in columns.chunks(LANES).zip(out.chunks_mut(LANES * rows)) {
+        for (columns, out) in columns.chunks(SIMD_LANES).zip(out.chunks_mut(SIMD_LANES * rows)) {
             let mut written = out.chunks_exact_mut(rows);
             if self.is_white {
                 written.zip(columns).for_each(|(out, column)| out.copy_from_slice(&column[..rows]));
@@ -158,7 +158,7 @@ impl Whitener {
                 continue;
             };
             let read = [a, b, c, d].map(|column| &column[..rows]);
-            let written = [(); LANES].map(|()| written.next().unwrap_or_default());
+            let written = [(); SIMD_LANES].map(|()| written.next().unwrap_or_default());
             self.whiten_lanes(read, written);
         }
     }
@@ -335,7 +335,11 @@ pub fn estimate(
 }
 
 /// Returns a draw of the noise at variance 1.
-pub fn draw_noise(noise: NoiseModel, steps: &RowSpacings, generator: &mut Generator) -> Vec<f64> {
+pub fn draw_noise(
+    noise: NoiseModel,
+    steps: &RowSpacings,
+    generator: &mut RandomGenerator,
+) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();
     let mut state = 0.0;
@@ -360,8 +364,11 @@ mod tests {
         let mut steps = steps(500);
         steps.0[100] = 1.7;
         steps.0[300] = f64::INFINITY;
-        let drawn =
-            draw_noise(NoiseModel { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
+        let drawn = draw_noise(
+            NoiseModel { memory: 9.0, white: 0.3 },
+            &steps,
+            &mut RandomGenerator::new(3),
+        );
         let noises = [(0.0, 1.0), (3.0, 0.0), (9.0, 0.3), (80.0, 0.98)];
         let noises = noises.map(|(memory, white)| NoiseModel { memory, white });
         for (noise, found) in noises.into_iter().zip(deviances(noises, &steps, &drawn)) {
@@ -382,7 +389,7 @@ mod tests {
     fn whitened_noise_has_variance_one_and_no_memory() {
         let noise = NoiseModel { memory: 30.0, white: 0.2 };
         let steps = steps(20_000);
-        let drawn = draw_noise(noise, &steps, &mut Generator::new(1));
+        let drawn = draw_noise(noise, &steps, &mut RandomGenerator::new(1));
         let white = Whitener::new(noise, &steps).whiten(&drawn);
         let mean_square = white.iter().map(|e| e * e).sum::<f64>() / white.len() as f64;
         let next: f64 = white.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
@@ -410,7 +417,7 @@ mod tests {
         for (memory, white) in [(0.0, 1.0), (5.0, 0.0), (33.0, 0.0), (20.0, 0.5)] {
             let noise = NoiseModel { memory, white };
             let steps = steps(3000);
-            let drawn = draw_noise(noise, &steps, &mut Generator::new(7));
+            let drawn = draw_noise(noise, &steps, &mut RandomGenerator::new(7));
             let found = estimate(&drawn, &steps, max_autocorrelation_time(3000), 0);
             println!("{noise:?} found as {found:?}");
             let (there, here) =

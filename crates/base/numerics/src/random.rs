@@ -13,9 +13,9 @@ use rand_distr::StandardNormal;
 /// assert!((0..100).all(|_| { let n = dice.uniform_index(6); n < 6 && n == again.uniform_index(6) }));
 /// ```
 #[derive(Clone, Debug)]
-pub struct Generator(ChaCha8Rng);
+pub struct RandomGenerator(ChaCha8Rng);
 
-impl Generator {
+impl RandomGenerator {
     /// Returns the sequence of this seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {

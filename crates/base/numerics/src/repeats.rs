@@ -19,7 +19,7 @@ mod gross_errors;
 mod interpolation_check;
 mod power;
 mod reading;
-mod table;
+mod table_fit;
 mod table_selection;
 #[cfg(test)]
 mod tests;
@@ -29,7 +29,7 @@ pub use gross_errors::find_gross_errors;
 pub use interpolation_check::{InterpolationCheck, MIN_R_SQUARED, check_interpolation};
 pub use power::required_cycles;
 pub use reading::{POSITION_TOLERANCE_PER_STEP, RepeatReading, cycle_numbers, group_positions};
-pub use table::TableLaw;
+pub use table_fit::TableLaw;
 pub use table_selection::{
     LawTest, MIN_TABLE_POSITIONS, SIGNIFICANCE_LEVEL, TableRejection, TableSelection, is_worse,
     select_table,

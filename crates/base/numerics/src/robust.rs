@@ -34,19 +34,19 @@
 //! scales; the median knows the scale as well as 0.37·n values would with squares, so short runs need
 //! more.
 
-mod isolation;
-mod regression;
-mod residual;
-mod series;
+mod outlier_isolation;
+mod regression_outliers;
+mod residual_outliers;
+mod series_outliers;
 mod statistics;
 mod tail_probability;
 #[cfg(test)]
 mod tests;
 
-pub use isolation::isolated_outliers;
-pub use regression::{MIN_ROWS_PER_COLUMN, find_regression_outliers};
-pub use residual::{MAX_OUTLIER_FRACTION, flag_residual_outliers};
-pub use series::{MIN_SERIES_ROWS, find_series_outliers};
+pub use outlier_isolation::isolated_outliers;
+pub use regression_outliers::{MIN_ROWS_PER_COLUMN, find_regression_outliers};
+pub use residual_outliers::{MAX_OUTLIER_FRACTION, flag_residual_outliers};
+pub use series_outliers::{MIN_SERIES_ROWS, find_series_outliers};
 pub use statistics::median;
 pub(crate) use statistics::outlier_cutoff;
 pub use statistics::{MIN_CUTOFF_SCALES, Outlier};

@@ -7,7 +7,7 @@
 
 use std::{fs, path::Path};
 
-use trueup_numerics::least_squares::{GivensQr, Model, SolverOptions, fit, normal};
+use trueup_numerics::least_squares::{GivensQr, Model, SolverOptions, fit, normal_equations};
 
 /// A certified set.
 struct Set {
@@ -136,7 +136,7 @@ fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
 type Step = fn(&[Vec<f64>], &[f64]) -> Vec<f64>;
 
 fn by_normal(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
-    normal::solve(columns, residual, None, 0.0).coefficients
+    normal_equations::solve(columns, residual, None, 0.0).coefficients
 }
 
 fn by_triangle(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {

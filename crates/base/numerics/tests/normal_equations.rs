@@ -6,8 +6,8 @@
 use std::time::{Duration, Instant};
 
 use trueup_numerics::{
-    least_squares::{GivensQr, normal},
-    random::Generator,
+    least_squares::{GivensQr, normal_equations},
+    random::RandomGenerator,
 };
 
 /// Returns the shorter of three tries.
@@ -35,14 +35,15 @@ fn by_triangle(columns: &[Vec<f64>], y: &[f64]) -> Vec<f64> {
 fn both_give_the_same_coefficients_and_the_normal_equations_sooner() {
     let rows = 100_000;
     for count in [3, 12, 40] {
-        let mut generator = Generator::new(count as u64);
+        let mut generator = RandomGenerator::new(count as u64);
         let columns: Vec<Vec<f64>> =
             (0..count).map(|_| (0..rows).map(|_| generator.normal()).collect()).collect();
         let y: Vec<f64> = (0..rows)
             .map(|row| columns.iter().map(|column| column[row]).sum::<f64>() + generator.normal())
             .collect();
         let (triangle_time, triangle) = timed(|| by_triangle(&columns, &y));
-        let (normal_time, normal) = timed(|| normal::solve(&columns, &y, None, 0.0).coefficients);
+        let (normal_time, normal) =
+            timed(|| normal_equations::solve(&columns, &y, None, 0.0).coefficients);
         let apart =
             triangle.iter().zip(&normal).map(|(t, n)| (t / n - 1.0).abs()).fold(0.0, f64::max);
         println!(
@@ -66,7 +67,7 @@ fn columns_that_resemble_each_other_cost_the_normal_equations_twice_the_digits()
         });
         let worst = |found: Vec<f64>| found.iter().map(|c| (c - 1.0).abs()).fold(0.0, f64::max);
         let triangle = worst(by_triangle(&columns, &y));
-        let normal = worst(normal::solve(&columns, &y, None, 0.0).coefficients);
+        let normal = worst(normal_equations::solve(&columns, &y, None, 0.0).coefficients);
         println!(
             "powers up to {degree}: triangle off by {triangle:.0e}, normal equations by {normal:.0e}"
         );

@@ -6,7 +6,7 @@
 use std::{f64::consts::TAU, time::Instant};
 
 use trueup_numerics::{
-    random::Generator,
+    random::RandomGenerator,
     robust::{find_series_outliers, flag_residual_outliers},
 };
 
@@ -30,7 +30,7 @@ fn left(kind: &str, row: usize) -> f64 {
 /// Of RUNS residuals: rows that the test of a series and that of a residual exclude as outliers though they are
 /// sound, and of a hundred gross errors those that they find.
 fn compare(kind: &str) -> [[usize; 2]; 2] {
-    let mut generator = Generator::new(1);
+    let mut generator = RandomGenerator::new(1);
     let time: Vec<f64> = (0..ROWS).map(|row| row as f64).collect();
     let series = vec![0; ROWS];
     let mut sum = [[0; 2]; 2];
@@ -76,7 +76,7 @@ fn neither_test_does_for_the_other() {
         }
     }
     let rows = 20_000;
-    let mut generator = Generator::new(2);
+    let mut generator = RandomGenerator::new(2);
     let time: Vec<f64> = (0..rows).map(|row| row as f64).collect();
     let y: Vec<f64> = (0..rows).map(|_| generator.normal()).collect();
     let start = Instant::now();

@@ -15,13 +15,13 @@ pub fn needs_escaping(c: char) -> bool {
 /// Returns the text with every unsafe character escaped, line breaks included: for a value inside a line.
 #[must_use]
 pub fn escape_line(text: &str) -> String {
-    Escaped { text, keep: &[] }.to_string()
+    EscapedText { text, keep: &[] }.to_string()
 }
 
 /// Returns the text with every unsafe character escaped except line breaks and tabs: for a text of several lines.
 #[must_use]
 pub fn escape_lines(text: &str) -> String {
-    Escaped { text, keep: &['\n', '\t'] }.to_string()
+    EscapedText { text, keep: &['\n', '\t'] }.to_string()
 }
 
 /// Returns the text as a shell takes it for one word: quoted where it has more than letters, digits and `=_-./:,+`. On
@@ -48,12 +48,12 @@ fn shell_quote_for_platform(text: &str, is_windows: bool) -> String {
     }
 }
 
-struct Escaped<'t> {
+struct EscapedText<'t> {
     text: &'t str,
     keep: &'t [char],
 }
 
-impl Display for Escaped<'_> {
+impl Display for EscapedText<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for c in self.text.chars() {
             match needs_escaping(c) && !self.keep.contains(&c) {

@@ -10,10 +10,10 @@
 //! | reader stopped, pipe full | waits; after [`enable_background_output`] dropped and counted | waits; after [`enable_background_output`] dropped and counted |
 //!
 //! A control path (the LinuxCNC component, a gateway, a virtual bridge) calls [`enable_background_output`] before it starts: from then
-//! on a thread of its own writes each stream from a bounded queue ([`queue`]), and no call here waits.
+//! on a thread of its own writes each stream from a bounded queue ([`line_queue`]), and no call here waits.
 
 pub mod escape;
-pub mod queue;
+pub mod line_queue;
 
 use std::{
     fmt::Display,
@@ -27,17 +27,17 @@ use std::{
 };
 
 use escape::escape_lines;
-use queue::LineQueue;
+use line_queue::LineQueue;
 
 /// Longest wait for a standard error that is busy (`EAGAIN`).
 const DIAGNOSTIC_TIMEOUT: Duration = Duration::from_secs(1);
 /// From one try to the next on a stream that is busy.
-const RETRY_INTERVAL: Duration = Duration::from_millis(2);
+const WRITE_RETRY_INTERVAL: Duration = Duration::from_millis(2);
 /// Longest wait at the end for queued lines.
-const DRAIN_TIMEOUT: Duration = Duration::from_millis(500);
+const QUEUE_DRAIN_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The reader of standard output is gone.
-static STDOUT_CLOSED: AtomicBool = AtomicBool::new(false);
+static IS_STDOUT_CLOSED: AtomicBool = AtomicBool::new(false);
 /// A result that cannot be written is reported as a diagnostic.
 static IS_BEST_EFFORT: AtomicBool = AtomicBool::new(false);
 /// That has been reported.
@@ -69,7 +69,7 @@ pub fn enable_best_effort_output() {
 /// Waits a short time until queued lines are written; at the end of a program.
 pub fn flush_queues() {
     if let Some(OutputQueues { output, error }) = OUTPUT_QUEUES.get() {
-        let deadline = Instant::now() + DRAIN_TIMEOUT;
+        let deadline = Instant::now() + QUEUE_DRAIN_TIMEOUT;
         output.flush_until(deadline);
         error.flush_until(deadline);
     }
@@ -158,7 +158,7 @@ impl Write for StdoutWriter {
 fn ignore_broken_pipe<T>(written: io::Result<T>, done: T) -> io::Result<T> {
     match written {
         Err(error) if is_broken_pipe(&error) => {
-            STDOUT_CLOSED.store(true, Ordering::Relaxed);
+            IS_STDOUT_CLOSED.store(true, Ordering::Relaxed);
             Ok(done)
         }
         other => other,
@@ -168,7 +168,7 @@ fn ignore_broken_pipe<T>(written: io::Result<T>, done: T) -> io::Result<T> {
 /// Returns false once the reader of standard output has left (`| head`): a command that prints without end ends then.
 #[must_use]
 pub fn has_stdout_reader() -> bool {
-    !STDOUT_CLOSED.load(Ordering::Relaxed)
+    !IS_STDOUT_CLOSED.load(Ordering::Relaxed)
 }
 
 /// Returns true if standard output is a terminal.
@@ -217,7 +217,7 @@ fn retry_until_deadline<T>(
                 if error.kind() == ErrorKind::WouldBlock
                     && deadline.is_none_or(|deadline| Instant::now() < deadline) =>
             {
-                thread::sleep(RETRY_INTERVAL);
+                thread::sleep(WRITE_RETRY_INTERVAL);
             }
             other => return other,
         }

@@ -6,11 +6,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context as _, Result, bail};
 
-pub use crate::block::Call;
-pub(crate) use crate::block::{BasicBlock, Edge};
+pub use crate::basic_block::Call;
+pub(crate) use crate::basic_block::{BasicBlock, ControlFlowEdge};
 use crate::{
     decode::{self, ControlFlow, Instruction, PC},
-    image::{Function, Image},
+    image::{FirmwareImage, Function},
     outlined_code,
 };
 
@@ -30,13 +30,13 @@ impl ControlFlowGraph {
     ///
     /// # Errors
     /// It branches by a register, or into the midst of another function, or its end is no branch.
-    pub fn read(image: &Image, function: &Function) -> Result<Self> {
+    pub fn read(image: &FirmwareImage, function: &Function) -> Result<Self> {
         Self::read_at_outline_depth(image, function, 0)
     }
 
     /// As [`Self::read`], as part of another function, that many deep.
     pub(crate) fn read_at_outline_depth(
-        image: &Image,
+        image: &FirmwareImage,
         function: &Function,
         depth: usize,
     ) -> Result<Self> {
@@ -52,7 +52,7 @@ struct ControlFlowGraphBuilder<'a> {
 }
 
 impl<'a> ControlFlowGraphBuilder<'a> {
-    fn read(image: &Image, function: &'a Function) -> Result<Self> {
+    fn read(image: &FirmwareImage, function: &'a Function) -> Result<Self> {
         let mut reader = Self { function, code: BTreeMap::new(), tables: BTreeMap::new() };
         let mut at = function.start;
         while at < function.end {
@@ -68,7 +68,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         let code: Vec<Instruction> = reader.code.values().copied().collect();
         for one in code {
             let targets = match one.flow {
-                ControlFlow::Table { size } => reader.read_jump_table(image, &one, size)?,
+                ControlFlow::TableBranch { size } => reader.read_jump_table(image, &one, size)?,
                 ControlFlow::JumpRegister(register) if register != PC => {
                     reader.jump_table_targets(&one)
                 }
@@ -82,7 +82,12 @@ impl<'a> ControlFlowGraphBuilder<'a> {
     }
 
     /// The places of a table that stands behind its jump, up to where the mapping symbols say that code goes on.
-    fn read_jump_table(&self, image: &Image, one: &Instruction, size: u32) -> Result<Vec<u32>> {
+    fn read_jump_table(
+        &self,
+        image: &FirmwareImage,
+        one: &Instruction,
+        size: u32,
+    ) -> Result<Vec<u32>> {
         let end = image.region_end(one.end_address()).min(self.function.end);
         let bytes =
             image.bytes(one.end_address(), end).filter(|_| image.is_data(one.end_address()));
@@ -128,7 +133,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         let mut starts = BTreeSet::from([self.function.start]);
         for one in self.code.values() {
             match one.flow {
-                ControlFlow::Jump(target) | ControlFlow::Zero { target, .. } => {
+                ControlFlow::Jump(target) | ControlFlow::CompareAndBranch { target, .. } => {
                     starts.extend([target, one.end_address()]);
                 }
                 ControlFlow::Next if one.mask.is_none() => {}
@@ -141,7 +146,11 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         starts
     }
 
-    fn build_control_flow_graph(&self, image: &Image, depth: usize) -> Result<ControlFlowGraph> {
+    fn build_control_flow_graph(
+        &self,
+        image: &FirmwareImage,
+        depth: usize,
+    ) -> Result<ControlFlowGraph> {
         let starts = self.block_start_addresses();
         let mut blocks: Vec<BasicBlock> = Vec::new();
         for one in self.code.values() {
@@ -162,49 +171,51 @@ impl<'a> ControlFlowGraphBuilder<'a> {
         let read = |piece: &Function| {
             Ok(ControlFlowGraph::read_at_outline_depth(image, piece, depth + 1)?.blocks)
         };
-        let blocks = outlined_code::inline_outlined(image, blocks, depth, read)?;
-        Ok(retain_reachable(self.function.name.clone(), blocks))
+        let blocks = outlined_code::inline_outlined_code(image, blocks, depth, read)?;
+        Ok(retain_reachable_blocks(self.function.name.clone(), blocks))
     }
 
     fn connect_block(
         &self,
-        image: &Image,
+        image: &FirmwareImage,
         block: &mut BasicBlock,
         numbers: &BTreeMap<u32, usize>,
     ) -> Result<()> {
         let one = *block.last_instruction();
-        let fall = || Edge {
+        let fall = || ControlFlowEdge {
             to: numbers.get(&one.end_address()).copied().unwrap_or(usize::MAX),
             is_taken: false,
         };
         let may_fall = one.condition.is_some();
         match one.flow {
             ControlFlow::Next => block.next.push(fall()),
-            ControlFlow::Jump(target) | ControlFlow::Zero { target, .. } => {
+            ControlFlow::Jump(target) | ControlFlow::CompareAndBranch { target, .. } => {
                 if self.contains_address(target) {
                     let to = *numbers
                         .get(&target)
                         .with_context(|| self.format_problem(&one, "jumps into an instruction"))?;
-                    block.next.push(Edge { to, is_taken: true });
+                    block.next.push(ControlFlowEdge { to, is_taken: true });
                 } else {
                     // A function that ends by calling another one.
-                    block.call = Some(Call::To(BTreeSet::from([call_target(image, target)
-                        .with_context(|| self.format_problem(&one, "jumps to no function"))?])));
+                    block.call = Some(Call::Direct(BTreeSet::from([call_target(image, target)
+                        .with_context(|| {
+                        self.format_problem(&one, "jumps to no function")
+                    })?])));
                     block.returns = true;
                 }
-                if may_fall || matches!(one.flow, ControlFlow::Zero { .. }) {
+                if may_fall || matches!(one.flow, ControlFlow::CompareAndBranch { .. }) {
                     block.next.push(fall());
                 }
             }
             ControlFlow::Call(target) => {
                 let start = call_target(image, target)
                     .with_context(|| self.format_problem(&one, "calls what is no function"))?;
-                block.call = Some(Call::To(BTreeSet::from([start])));
-                block.next.push(Edge { is_taken: true, ..fall() });
+                block.call = Some(Call::Direct(BTreeSet::from([start])));
+                block.next.push(ControlFlowEdge { is_taken: true, ..fall() });
             }
             ControlFlow::CallRegister(register) => {
-                block.call = Some(Call::Register(register));
-                block.next.push(Edge { is_taken: true, ..fall() });
+                block.call = Some(Call::Indirect(register));
+                block.next.push(ControlFlowEdge { is_taken: true, ..fall() });
             }
             ControlFlow::Return => {
                 block.returns = true;
@@ -212,18 +223,20 @@ impl<'a> ControlFlowGraphBuilder<'a> {
                     block.next.push(fall());
                 }
             }
-            ControlFlow::Table { .. } | ControlFlow::JumpRegister(_) => match self
+            ControlFlow::TableBranch { .. } | ControlFlow::JumpRegister(_) => match self
                 .tables
                 .get(&one.at)
             {
                 Some(targets) => {
                     let all: BTreeSet<usize> =
                         targets.iter().filter_map(|target| numbers.get(target).copied()).collect();
-                    block.next.extend(all.into_iter().map(|to| Edge { to, is_taken: true }));
+                    block
+                        .next
+                        .extend(all.into_iter().map(|to| ControlFlowEdge { to, is_taken: true }));
                 }
                 None => match one.flow {
                     ControlFlow::JumpRegister(register) => {
-                        block.call = Some(Call::Register(register));
+                        block.call = Some(Call::Indirect(register));
                         block.returns = true;
                         if may_fall {
                             block.next.push(fall());
@@ -232,18 +245,18 @@ impl<'a> ControlFlowGraphBuilder<'a> {
                     _ => bail!(self.format_problem(&one, "jumps by a table without entries")),
                 },
             },
-            ControlFlow::Stop => {}
+            ControlFlow::Trap => {}
         }
         Ok(())
     }
 }
 
-fn call_target(image: &Image, target: u32) -> Option<u32> {
+fn call_target(image: &FirmwareImage, target: u32) -> Option<u32> {
     image.function_at(target).map(|function| function.start).filter(|start| *start == target & !1)
 }
 
 /// Leaves out what the entry does not lead to.
-fn retain_reachable(name: String, blocks: Vec<BasicBlock>) -> ControlFlowGraph {
+fn retain_reachable_blocks(name: String, blocks: Vec<BasicBlock>) -> ControlFlowGraph {
     let mut seen = vec![false; blocks.len()];
     let mut open = vec![0];
     while let Some(number) = open.pop() {
@@ -292,12 +305,12 @@ pub(crate) fn subgraph(
 }
 
 /// Returns which blocks the entry leads to and that lead back to the caller; where no call in between stays away.
-pub(crate) fn returning_blocks(
+pub(crate) fn find_returning_blocks(
     graph: &ControlFlowGraph,
     returns: &dyn Fn(u32) -> bool,
 ) -> Vec<bool> {
     let comes_back = |number: usize| match &graph.blocks[number].call {
-        Some(Call::To(all)) => all.iter().any(|to| returns(*to)),
+        Some(Call::Direct(all)) => all.iter().any(|to| returns(*to)),
         _ => true,
     };
     let count = graph.blocks.len();

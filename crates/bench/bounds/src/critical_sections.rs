@@ -14,7 +14,7 @@ use std::{
 use crate::{
     control_flow::ControlFlowGraph,
     decode::InterruptMaskChange,
-    entry::FunctionEntry,
+    function_entry::FunctionEntry,
     longest_path,
     prepared_function::PreparedFunction,
     program::Program,
@@ -70,7 +70,10 @@ impl<'a> CriticalSectionAnalysis<'a> {
     }
 
     /// Returns the sections of a function and all that it calls.
-    pub fn sections_in_call_tree(&mut self, entry: FunctionEntry) -> Vec<CriticalSection> {
+    pub fn find_critical_sections_in_call_tree(
+        &mut self,
+        entry: FunctionEntry,
+    ) -> Vec<CriticalSection> {
         let (mut seen, mut open, mut found) = (BTreeSet::new(), vec![entry], Vec::new());
         while let Some(entry) = open.pop() {
             if seen.insert(entry)
@@ -127,7 +130,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
             (Some(InterruptMaskChange::Raise(register)), _) => {
                 let mut state = prepared.starts[number];
                 for one in &block.instructions[..block.instructions.len() - 1] {
-                    state.step(self.program.image, one);
+                    state.execute_conditional_instruction(self.program.image, one);
                 }
                 let Some(value) = state.register_value(register).as_constant() else {
                     self.program.report_problem(format!(
@@ -140,7 +143,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
                 let logical = (1 << PRIORITY_BITS) - (value >> (8 - PRIORITY_BITS));
                 (MaskingMechanism::Ceiling, Some(logical as u8))
             }
-            (Some(InterruptMaskChange::Off), _) | (_, Some(_)) => {
+            (Some(InterruptMaskChange::Disable), _) | (_, Some(_)) => {
                 (MaskingMechanism::Interrupts, None)
             }
             _ => return,
@@ -188,7 +191,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
     fn unmasks_interrupts(&self, prepared: &PreparedFunction, number: usize) -> bool {
         let graph = &prepared.graph;
         let has_on = |block: usize| {
-            graph.blocks[block].last_instruction().mask == Some(InterruptMaskChange::On)
+            graph.blocks[block].last_instruction().mask == Some(InterruptMaskChange::Enable)
         };
         let calls = &prepared.calls[number];
         has_on(number) || calls.iter().any(|call| self.callee_satisfies(call, |own| own.closes))
@@ -222,7 +225,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
                     && (self.unmasks_interrupts(prepared, number)
                         || block.next.iter().any(|edge| {
                             let next = &graph.blocks[edge.to];
-                            next.last_instruction().mask == Some(InterruptMaskChange::On)
+                            next.last_instruction().mask == Some(InterruptMaskChange::Enable)
                                 && next.instructions.len() <= 2
                         }));
             if depth > 8 {
@@ -236,7 +239,8 @@ impl<'a> CriticalSectionAnalysis<'a> {
                     && !self.unmasks_interrupts(prepared, number)
                 {
                     found.blocks.extend(ends.filter(|next| {
-                        graph.blocks[*next].last_instruction().mask == Some(InterruptMaskChange::On)
+                        graph.blocks[*next].last_instruction().mask
+                            == Some(InterruptMaskChange::Enable)
                     }));
                 }
                 continue;

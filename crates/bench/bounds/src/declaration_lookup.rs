@@ -6,8 +6,8 @@ use crate::{
     control_flow::BasicBlock,
     declarations::{DeclarationTable, ExcludedCode, SourceLocation},
     decode::ControlFlow,
-    image::{Image, SourceFrame},
-    source::SourceCode,
+    image::{FirmwareImage, SourceFrame},
+    source_code::SourceCode,
 };
 
 /// Functions of the project that wait for what their caller says.
@@ -18,7 +18,7 @@ type DeclarationKey = (&'static str, usize);
 
 /// The table, the source that it names lines of, and what of it was used.
 pub(crate) struct DeclarationLookup<'a> {
-    image: &'a Image,
+    image: &'a FirmwareImage,
     /// The table.
     pub table: &'a DeclarationTable,
     source: &'a SourceCode,
@@ -28,7 +28,11 @@ pub(crate) struct DeclarationLookup<'a> {
 impl<'a> DeclarationLookup<'a> {
     /// Returns the table for an image.
     #[must_use]
-    pub fn new(image: &'a Image, table: &'a DeclarationTable, source: &'a SourceCode) -> Self {
+    pub fn new(
+        image: &'a FirmwareImage,
+        table: &'a DeclarationTable,
+        source: &'a SourceCode,
+    ) -> Self {
         Self { image, table, source, used: RefCell::default() }
     }
 

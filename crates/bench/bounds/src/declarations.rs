@@ -4,7 +4,7 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IterationBound {
     /// At the most as often as this.
-    Times(u32),
+    AtMost(u32),
     /// Once for each `per` bytes of a length that is the argument of this number, and as often as `more`.
     Length {
         /// Number of the argument, from 0.
@@ -16,7 +16,7 @@ pub enum IterationBound {
     },
     /// Once for each `per` bytes that it stores, of a length that is the argument of this number. A round that stores more
     /// words, because the compiler has unrolled the loop, counts for as many.
-    Copied {
+    PerStoredBytes {
         /// Number of the argument, from 0.
         argument: usize,
         /// Bytes of a store.
@@ -28,19 +28,19 @@ pub enum IterationBound {
     /// source, of which the compiler has made several.
     Together(u32),
     /// Once for each byte that no whole word has: all of a length below 16, otherwise 3 (`compiler_builtins`). Unrolled as
-    /// [`Self::Copied`].
-    Odd {
+    /// [`Self::PerStoredBytes`].
+    RemainderBytes {
         /// Number of the argument, from 0.
         argument: usize,
     },
     /// Until this many microseconds are over, on any clock.
-    Micros(u32),
+    Microseconds(u32),
     /// Once for each term of the calibration.
-    Terms,
+    PerTerm,
     /// Once for each tool that a term of the calibration knows.
-    Tools,
+    PerTool,
     /// Once for each byte that waits (the column `arrives` of the tasks).
-    Byte,
+    PerWaitingByte,
 }
 
 /// The sizes of a calibration that loops go by.
@@ -53,7 +53,7 @@ pub struct CalibrationSizes {
 }
 
 impl CalibrationSizes {
-    /// The largest that a board takes (`MAX_TERMS` and `MAX_TOOLS`, `core/src/dimensions.rs`).
+    /// The largest that a board takes (`MAX_TERMS` and `MAX_TOOLS`, `core/src/design_parameters.rs`).
     pub const MAX: Self = Self { terms: 16, tools: 32 };
     /// A calibration without terms.
     pub const EMPTY: Self = Self { terms: 0, tools: 0 };

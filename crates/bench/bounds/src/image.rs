@@ -30,7 +30,7 @@ pub(crate) struct SourceFrame {
 }
 
 /// A linked image, in memory.
-pub struct Image {
+pub struct FirmwareImage {
     functions: BTreeMap<u32, Function>,
     /// Stretches of code (false) and data (true) among it, by the mapping symbols.
     data: BTreeMap<u32, bool>,
@@ -40,7 +40,7 @@ pub struct Image {
     source: Option<Context<EndianRcSlice<LittleEndian>>>,
 }
 
-impl Image {
+impl FirmwareImage {
     /// Reads an image.
     ///
     /// # Errors

@@ -4,8 +4,8 @@
 use crate::{
     control_flow::ControlFlowGraph,
     declarations::IterationBound,
-    image::Image,
-    loops::{self, Loop},
+    image::FirmwareImage,
+    loop_analysis::{self, Loop},
     register_values::RegisterState,
 };
 
@@ -13,32 +13,32 @@ use crate::{
 #[must_use]
 pub(crate) fn resolve_iteration_bound(
     rounds: IterationBound,
-    image: &Image,
+    image: &FirmwareImage,
     (graph, starts): (&ControlFlowGraph, &[RegisterState]),
     arguments: [Option<u32>; 4],
     one: &Loop,
 ) -> Option<IterationBound> {
-    let step = || loops::max_induction_step(image, graph, starts, one);
+    let step = || loop_analysis::max_induction_step(image, graph, starts, one);
     Some(match rounds {
-        IterationBound::Odd { argument } => {
+        IterationBound::RemainderBytes { argument } => {
             let length = arguments[argument]?;
             let bytes = if length < 16 { length } else { 3 };
-            IterationBound::Times(
-                bytes.div_ceil(loops::min_words_stored_per_iteration(graph, one).max(1)),
+            IterationBound::AtMost(
+                bytes.div_ceil(loop_analysis::min_words_stored_per_iteration(graph, one).max(1)),
             )
         }
         // Unrolled, a round moves an address by more.
         IterationBound::Length { argument, per, more } => {
-            IterationBound::Times(arguments[argument]?.div_ceil(per.max(step())) + more)
+            IterationBound::AtMost(arguments[argument]?.div_ceil(per.max(step())) + more)
         }
         // Or has more stores: the addresses may be on the stack meanwhile.
-        IterationBound::Copied { argument, per } => {
-            let stored = per * loops::min_words_stored_per_iteration(graph, one);
-            IterationBound::Times(arguments[argument]?.div_ceil(per.max(step()).max(stored)))
+        IterationBound::PerStoredBytes { argument, per } => {
+            let stored = per * loop_analysis::min_words_stored_per_iteration(graph, one);
+            IterationBound::AtMost(arguments[argument]?.div_ceil(per.max(step()).max(stored)))
         }
-        IterationBound::Mask(bits) => {
-            IterationBound::Times(bits.div_ceil(loops::min_shift_bits_per_iteration(graph, one)))
-        }
+        IterationBound::Mask(bits) => IterationBound::AtMost(
+            bits.div_ceil(loop_analysis::min_shift_bits_per_iteration(graph, one)),
+        ),
         other => other,
     })
 }

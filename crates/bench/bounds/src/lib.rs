@@ -13,19 +13,19 @@
 //! bytes reads each line once, and each interrupt may take all of them away. Elsewhere each line is read anew wherever a path
 //! enters it, and each constant is read from the flash. Not covered: an unaligned read that crosses a line of the flash.
 
-pub mod block;
-pub mod clock;
+mod basic_block;
+pub mod clock_configuration;
 pub(crate) mod control_flow;
 pub mod critical_sections;
 pub(crate) mod declaration_lookup;
 pub mod declarations;
 pub mod decode;
-pub mod entry;
-pub mod firmware;
+pub mod flow_facts;
+pub mod function_entry;
 pub mod image;
 pub(crate) mod iteration_bounds;
 pub(crate) mod longest_path;
-pub mod loops;
+mod loop_analysis;
 pub(crate) mod outlined_code;
 pub mod path_report;
 pub(crate) mod prepared_function;
@@ -33,6 +33,6 @@ pub mod program;
 pub(crate) mod register_values;
 pub mod report;
 pub(crate) mod response_time;
-pub mod source;
+pub mod source_code;
 pub mod tasks;
 pub mod wcet;

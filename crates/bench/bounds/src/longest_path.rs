@@ -8,8 +8,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    control_flow::{ControlFlowGraph, Edge},
-    loops::{self, Loop},
+    control_flow::{ControlFlowEdge, ControlFlowGraph},
+    loop_analysis::{self, Loop},
 };
 
 /// A path so far: its cycles, and what else is kept of it.
@@ -89,7 +89,7 @@ pub(crate) trait CycleCosts {
     /// Returns the cycles of a block, with what it calls.
     fn block_cycles(&self, block: usize, is_kept: bool) -> u64;
     /// Returns the cycles of the way from a block to the next.
-    fn edge_cycles(&self, from: usize, edge: &Edge, is_kept: bool) -> u64;
+    fn edge_cycles(&self, from: usize, edge: &ControlFlowEdge, is_kept: bool) -> u64;
     /// Returns the cycles in which the cache takes all instructions of a loop, with what it calls; `None`: they are too many.
     fn cache_fill_cycles(&self, one: &Loop) -> Option<u64>;
     /// Returns how often a loop goes round until it comes to its last round.
@@ -124,9 +124,9 @@ fn compute_longest_paths<W: PathCost>(
 ) -> BTreeMap<usize, W> {
     let is_cut = is_round || !graph.before[entry].iter().any(|from| within.contains(from));
     let parts = if is_cut {
-        loops::tarjan_components(graph, within, entry)
+        loop_analysis::tarjan_components(graph, within, entry)
     } else {
-        loops::strongly_connected_components(graph, within, entry)
+        loop_analysis::strongly_connected_components(graph, within, entry)
     };
     let mut known: BTreeMap<usize, W> = BTreeMap::new();
     for part in parts {
@@ -146,14 +146,14 @@ fn compute_longest_paths<W: PathCost>(
             })
         };
         let cut = if is_cut { entry } else { usize::MAX };
-        if !loops::is_loop(graph, &part, cut) {
+        if !loop_analysis::is_loop(graph, &part, cut) {
             let block = part[0];
             let mut way = if block == entry && is_cut { W::default() } else { arrives(block) };
             way.add_block(block, is_kept, prices.block_cycles(block, is_kept));
             known.insert(block, way);
             continue;
         }
-        let one = loops::build_loop(graph, &part, within);
+        let one = loop_analysis::build_loop(graph, &part, within);
         if !one.is_reducible {
             let before = max_by_cycles(part.iter().map(|block| arrives(*block)));
             let mut all = W::default();

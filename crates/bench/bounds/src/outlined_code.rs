@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 use anyhow::{Result, ensure};
 
 use crate::{
-    block::{BasicBlock, Call, Edge},
-    image::{Function, Image},
+    basic_block::{BasicBlock, Call, ControlFlowEdge},
+    image::{FirmwareImage, Function},
 };
 
 /// How deep such pieces use each other.
@@ -23,14 +23,14 @@ pub(crate) fn is_outlined(name: &str) -> bool {
 ///
 /// # Errors
 /// A piece cannot be read, or uses itself.
-pub(crate) fn inline_outlined(
-    image: &Image,
+pub(crate) fn inline_outlined_code(
+    image: &FirmwareImage,
     mut blocks: Vec<BasicBlock>,
     depth: usize,
     read: impl Fn(&Function) -> Result<Vec<BasicBlock>>,
 ) -> Result<Vec<BasicBlock>> {
     for number in 0..blocks.len() {
-        let Some(Call::To(all)) = &blocks[number].call else { continue };
+        let Some(Call::Direct(all)) = &blocks[number].call else { continue };
         let first = all.first().and_then(|to| image.function_at(*to));
         let Some(piece) = first.filter(|function| all.len() == 1 && is_outlined(&function.name))
         else {
@@ -44,12 +44,14 @@ pub(crate) fn inline_outlined(
         let behind = std::mem::take(&mut block.next);
         let is_tail = std::mem::take(&mut block.returns);
         let is_conditional = block.last_instruction().condition.is_some();
-        block.next = vec![Edge { to: base, is_taken: true }];
+        block.next = vec![ControlFlowEdge { to: base, is_taken: true }];
         // One that is not always called is passed by as well.
         if is_conditional {
-            block.next.extend(behind.iter().map(|edge| Edge { is_taken: false, ..*edge }));
+            block
+                .next
+                .extend(behind.iter().map(|edge| ControlFlowEdge { is_taken: false, ..*edge }));
         }
-        let back: BTreeSet<Edge> =
+        let back: BTreeSet<ControlFlowEdge> =
             if is_tail { BTreeSet::new() } else { behind.into_iter().collect() };
         blocks.extend(copy.into_iter().map(|mut own| {
             for edge in &mut own.next {
@@ -57,7 +59,8 @@ pub(crate) fn inline_outlined(
             }
             if own.returns && !is_tail {
                 own.returns = false;
-                own.next.extend(back.iter().map(|edge| Edge { is_taken: true, ..*edge }));
+                own.next
+                    .extend(back.iter().map(|edge| ControlFlowEdge { is_taken: true, ..*edge }));
             }
             own
         }));

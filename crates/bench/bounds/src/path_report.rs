@@ -8,12 +8,12 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 
 use crate::{
-    clock::ClockConfiguration,
+    clock_configuration::ClockConfiguration,
     declarations::{self, CalibrationSizes, DeclarationTable},
-    entry::FunctionEntry,
-    image::Image,
+    function_entry::FunctionEntry,
+    image::FirmwareImage,
     program::Program,
-    source::SourceCode,
+    source_code::SourceCode,
     tasks,
     wcet::WcetAnalysis,
 };
@@ -33,8 +33,8 @@ struct PathShare {
 ///
 /// # Errors
 /// The app's table cannot be read, or it has no such task.
-pub fn longest_path_of_task(
-    image: &Image,
+pub fn format_longest_path_of_task(
+    image: &FirmwareImage,
     app: &str,
     table: &DeclarationTable,
     source: &SourceCode,
@@ -63,7 +63,7 @@ pub fn longest_path_of_task(
     let mut text = format!("{task}, {}: {:.1} µs\n", clock.name, us(cycles));
     write_path_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
     if waiting.is_some() {
-        let within = program.for_bytes_within_line();
+        let within = program.with_bytes_within_line();
         let worst = WcetAnalysis::new(&within, clock, waiting).with_zero_cost_functions(free);
         writeln!(text, "\nwhere no byte ends a line: {:.1} µs", us(worst.function_cycles(entry)))
             .ok();
@@ -79,17 +79,17 @@ pub fn longest_path_of_task(
         let worst = WcetAnalysis::new(&program, clock, waiting).with_zero_cost_functions(others);
         write_path_shares(&mut text, image, &profile_longest_path(&worst, one), us);
     }
-    let problems = program.problems();
+    let problems = program.missing_flow_facts();
     ensure!(problems.is_empty(), "{}", problems.join("\n"));
     Ok(text)
 }
 
-fn function_name(image: &Image, start: u32) -> &str {
+fn function_name(image: &FirmwareImage, start: u32) -> &str {
     image.function_at(start).map_or("?", |function| &function.name)
 }
 
 /// The name of a function, and the length that it is called with.
-fn entry_name(image: &Image, entry: FunctionEntry) -> String {
+fn format_entry(image: &FirmwareImage, entry: FunctionEntry) -> String {
     let name = function_name(image, entry.start);
     let length =
         declarations::length_argument_index(name).and_then(|number| entry.arguments[number]);
@@ -125,7 +125,7 @@ fn profile_longest_path(
 
 fn write_path_shares(
     text: &mut String,
-    image: &Image,
+    image: &FirmwareImage,
     shares: &BTreeMap<FunctionEntry, PathShare>,
     us: impl Fn(u64) -> f64,
 ) {
@@ -135,10 +135,10 @@ fn write_path_shares(
         .ok();
     for (entry, share) in sorted {
         let (own, total) = (us(share.own), us(share.total));
-        let name = entry_name(image, *entry);
+        let name = format_entry(image, *entry);
         write!(text, "{:>6} {own:>9.1} {total:>9.1}  {name}", share.calls).ok();
         if let Some((count, caller)) = share.caller {
-            write!(text, " < {count} × {}", entry_name(image, caller)).ok();
+            write!(text, " < {count} × {}", format_entry(image, caller)).ok();
         }
         text.push('\n');
     }

@@ -1,8 +1,8 @@
 //! A function that is ready to be priced: its blocks, the values at their starts, its loops with a bound each, its calls.
 
 use crate::{
-    control_flow::ControlFlowGraph, declarations::IterationBound, entry::FunctionEntry,
-    loops::Loop, register_values::RegisterState,
+    control_flow::ControlFlowGraph, declarations::IterationBound, function_entry::FunctionEntry,
+    loop_analysis::Loop, register_values::RegisterState,
 };
 
 /// Where a bound comes from.

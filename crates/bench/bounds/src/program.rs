@@ -8,25 +8,25 @@ use std::{
 };
 
 use crate::{
-    control_flow::{self, Call, ControlFlowGraph, returning_blocks},
+    control_flow::{self, Call, ControlFlowGraph, find_returning_blocks},
     declaration_lookup::DeclarationLookup,
     declarations::{
         self, CalibrationSizes, CalledOnceFunction, DeclarationTable, IterationBound,
         SourceLocation,
     },
-    entry::{FunctionEntry, KnownArguments},
-    image::Image,
+    function_entry::{FunctionEntry, KnownArguments},
+    image::FirmwareImage,
     iteration_bounds,
-    loops::{self, Loop},
+    loop_analysis::{self, Loop},
     prepared_function::{BoundOrigin, BoundedLoop, PreparedFunction},
     register_values::{self, RegisterState},
-    source::SourceCode,
+    source_code::SourceCode,
 };
 
 /// An image with its table.
 pub struct Program<'a> {
     /// The image.
-    pub image: &'a Image,
+    pub image: &'a FirmwareImage,
     declared: DeclarationLookup<'a>,
     sizes: CalibrationSizes,
     /// No line ends.
@@ -45,7 +45,7 @@ impl<'a> Program<'a> {
     /// table names.
     #[must_use]
     pub fn new(
-        image: &'a Image,
+        image: &'a FirmwareImage,
         table: &'a DeclarationTable,
         source: &'a SourceCode,
         sizes: CalibrationSizes,
@@ -65,7 +65,7 @@ impl<'a> Program<'a> {
 
     /// Returns the same for bytes that end no line.
     #[must_use]
-    pub(crate) fn for_bytes_within_line(&self) -> Self {
+    pub(crate) fn with_bytes_within_line(&self) -> Self {
         Self {
             image: self.image,
             declared: self.declared.with_usage_reset(),
@@ -100,7 +100,7 @@ impl<'a> Program<'a> {
                 for (number, calls) in prepared.calls.iter().enumerate() {
                     let mut state = prepared.starts[number];
                     for one in &prepared.graph.blocks[number].instructions {
-                        state.step(self.image, one);
+                        state.execute_conditional_instruction(self.image, one);
                     }
                     let is_ram = state.ram_pointer_mask();
                     for call in calls {
@@ -131,7 +131,7 @@ impl<'a> Program<'a> {
 
     /// Returns what was missing so far: loops without a bound, calls with an unknown target.
     #[must_use]
-    pub fn problems(&self) -> Vec<String> {
+    pub fn missing_flow_facts(&self) -> Vec<String> {
         self.problems.borrow().iter().cloned().collect()
     }
 
@@ -168,7 +168,7 @@ impl<'a> Program<'a> {
         self.image.function_at(start).map_or("?", |function| &function.name)
     }
 
-    fn read_graph(&self, start: u32) -> Rc<Result<ControlFlowGraph, String>> {
+    fn control_flow_graph(&self, start: u32) -> Rc<Result<ControlFlowGraph, String>> {
         if let Some(known) = self.read.borrow().get(&start) {
             return known.clone();
         }
@@ -192,10 +192,10 @@ impl<'a> Program<'a> {
             if reached.contains_key(&at) {
                 continue;
             }
-            let graph = self.read_graph(at);
+            let graph = self.control_flow_graph(at);
             if let Ok(graph) = &*graph {
                 for block in &graph.blocks {
-                    if let Some(Call::To(all)) = &block.call {
+                    if let Some(Call::Direct(all)) = &block.call {
                         open.extend(all);
                     }
                 }
@@ -209,7 +209,7 @@ impl<'a> Program<'a> {
             for (at, graph) in &reached {
                 let is_so = !is_excluded(at)
                     && match &**graph {
-                        Ok(graph) => returning_blocks(graph, &|to| known[&to])[0],
+                        Ok(graph) => find_returning_blocks(graph, &|to| known[&to])[0],
                         Err(_) => true,
                     };
                 changed |= known.insert(*at, is_so) != Some(is_so);
@@ -234,7 +234,7 @@ impl<'a> Program<'a> {
     }
 
     fn prepare_function_uncached(&self, entry: FunctionEntry) -> Option<Rc<PreparedFunction>> {
-        let graph = match &*self.read_graph(entry.start) {
+        let graph = match &*self.control_flow_graph(entry.start) {
             Ok(graph) => graph.clone(),
             Err(error) => {
                 self.report_problem(error.clone());
@@ -242,7 +242,7 @@ impl<'a> Program<'a> {
             }
         };
         self.can_return(entry.start);
-        let is_kept = returning_blocks(&graph, &|to| self.can_return(to));
+        let is_kept = find_returning_blocks(&graph, &|to| self.can_return(to));
         if !is_kept[0] {
             self.report_problem(format!("{} never comes back", graph.name));
             return None;
@@ -250,7 +250,7 @@ impl<'a> Program<'a> {
         let mut blocks = graph.blocks;
         for block in &mut blocks {
             // A call that does not come back and is not always made is none.
-            if let Some(Call::To(all)) = &block.call
+            if let Some(Call::Direct(all)) = &block.call
                 && !all.iter().any(|to| self.can_return(*to))
             {
                 block.call = None;
@@ -261,14 +261,19 @@ impl<'a> Program<'a> {
         let ram = self.ram.borrow().get(&entry.start).copied().unwrap_or_default() | entry.ram;
         let mut graph = self.without_excluded_blocks(graph)?;
         let mut starts =
-            register_values::block_entry_states(self.image, &graph, entry.arguments, ram);
+            register_values::compute_block_entry_states(self.image, &graph, entry.arguments, ram);
         // A branch by two numbers has one way.
-        while let Some(cut) = loops::prune_infeasible_edges(self.image, &graph, &starts) {
-            let is_kept = returning_blocks(&cut, &|_| true);
+        while let Some(cut) = loop_analysis::prune_infeasible_edges(self.image, &graph, &starts) {
+            let is_kept = find_returning_blocks(&cut, &|_| true);
             graph = control_flow::subgraph(cut.name, cut.blocks, &is_kept);
-            starts = register_values::block_entry_states(self.image, &graph, entry.arguments, ram);
+            starts = register_values::compute_block_entry_states(
+                self.image,
+                &graph,
+                entry.arguments,
+                ram,
+            );
         }
-        let loops = loops::find_loops(&graph)
+        let loops = loop_analysis::find_loops(&graph)
             .into_iter()
             .map(|one| self.bound_loop(&graph, &starts, entry.arguments, one))
             .collect();
@@ -294,7 +299,7 @@ impl<'a> Program<'a> {
             return None;
         }
         let graph = control_flow::subgraph(graph.name, graph.blocks, &is_in);
-        let is_kept = returning_blocks(&graph, &|_| true);
+        let is_kept = find_returning_blocks(&graph, &|_| true);
         if !is_kept[0] {
             self.report_problem(format!(
                 "{} never returns without the excluded blocks",
@@ -312,8 +317,8 @@ impl<'a> Program<'a> {
         arguments: KnownArguments,
         one: Loop,
     ) -> BoundedLoop {
-        let derived = loops::derive_iteration_bound(self.image, graph, starts, &one)
-            .map(IterationBound::Times);
+        let derived = loop_analysis::derive_iteration_bound(self.image, graph, starts, &one)
+            .map(IterationBound::AtMost);
         let header = graph.blocks[one.header].start_address();
         let last = one
             .blocks
@@ -336,30 +341,30 @@ impl<'a> Program<'a> {
                 &one,
             );
             match known.unwrap_or_else(|| self.report_unknown_length(graph)) {
-                IterationBound::Terms => IterationBound::Times(self.sizes.terms),
-                IterationBound::Tools => IterationBound::Times(self.sizes.tools),
+                IterationBound::PerTerm => IterationBound::AtMost(self.sizes.terms),
+                IterationBound::PerTool => IterationBound::AtMost(self.sizes.tools),
                 other => other,
             }
         });
         // One that is left behind its body alone goes back once less than it has rounds.
         let declared = declared.map(|rounds| match rounds {
-            IterationBound::Times(times) if loops::is_post_tested(graph, &one) => {
-                IterationBound::Times(times.saturating_sub(1))
+            IterationBound::AtMost(times) if loop_analysis::is_post_tested(graph, &one) => {
+                IterationBound::AtMost(times.saturating_sub(1))
             }
             other => other,
         });
         // Of two numbers the smaller one: the table may know more than the code says.
         match (derived, declared) {
-            (Some(IterationBound::Times(code)), Some(IterationBound::Times(table)))
+            (Some(IterationBound::AtMost(code)), Some(IterationBound::AtMost(table)))
                 if table < code =>
             {
                 BoundedLoop {
                     one,
-                    rounds: IterationBound::Times(table),
+                    rounds: IterationBound::AtMost(table),
                     origin: BoundOrigin::Table,
                 }
             }
-            (Some(_), Some(rounds @ IterationBound::Micros(_))) => {
+            (Some(_), Some(rounds @ IterationBound::Microseconds(_))) => {
                 BoundedLoop { one, rounds, origin: BoundOrigin::Table }
             }
             (Some(rounds), _) => BoundedLoop { one, rounds, origin: BoundOrigin::Code },
@@ -372,14 +377,14 @@ impl<'a> Program<'a> {
                     "loop without a bound in {}, at {header:#x}: {places}",
                     graph.name
                 ));
-                BoundedLoop { one, rounds: IterationBound::Times(0), origin: BoundOrigin::Table }
+                BoundedLoop { one, rounds: IterationBound::AtMost(0), origin: BoundOrigin::Table }
             }
         }
     }
 
     fn report_unknown_length(&self, graph: &ControlFlowGraph) -> IterationBound {
         self.report_problem(format!("{} copies an unknown length", graph.name));
-        IterationBound::Times(1)
+        IterationBound::AtMost(1)
     }
 
     /// Functions that a block calls at its end.
@@ -393,12 +398,12 @@ impl<'a> Program<'a> {
         let Some(call) = &block.call else { return Vec::new() };
         let mut state = starts[number];
         for one in &block.instructions {
-            state.step(self.image, one);
+            state.execute_conditional_instruction(self.image, one);
         }
         let at = block.last_instruction().at;
         let targets: Vec<u32> = match call {
-            Call::To(all) => all.iter().copied().collect(),
-            Call::Register(register) => {
+            Call::Direct(all) => all.iter().copied().collect(),
+            Call::Indirect(register) => {
                 let known = state.register_value(*register).as_constant().map(|at| at & !1);
                 match known.and_then(|at| self.image.function_at(at)) {
                     Some(function) => vec![function.start],

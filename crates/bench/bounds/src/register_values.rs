@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use crate::{
     control_flow::ControlFlowGraph,
     decode::{ControlFlow, FlagEffect, Instruction, Operand, PC, RegisterEffect, SP},
-    image::Image,
+    image::FirmwareImage,
 };
 
 /// The unknown part of a value.
@@ -142,7 +142,11 @@ impl RegisterState {
     }
 
     /// An instruction is done, if its condition holds.
-    pub fn step(&mut self, image: &Image, one: &Instruction) {
+    pub(crate) fn execute_conditional_instruction(
+        &mut self,
+        image: &FirmwareImage,
+        one: &Instruction,
+    ) {
         let is_in_block = one.condition.is_some() && !matches!(one.flow, ControlFlow::Jump(_));
         let condition_holds = self
             .flags
@@ -155,7 +159,7 @@ impl RegisterState {
         }
     }
 
-    fn execute_instruction(&mut self, image: &Image, one: &Instruction) {
+    fn execute_instruction(&mut self, image: &FirmwareImage, one: &Instruction) {
         let before = *self;
         if one.writes != 0 {
             // A value of the same name from an earlier pass is another one.
@@ -189,7 +193,7 @@ impl RegisterState {
         }
         self.flags = before.flag_operands_after(one, self);
         // A value of the same name from an earlier pass is another one.
-        if one.writes != 0 && one.flags == FlagEffect::Keep {
+        if one.writes != 0 && one.flags == FlagEffect::Unchanged {
             self.flags = self.flags.filter(|flags| {
                 let is_old =
                     |value: SymbolicValue| matches!(value.base, SymbolicBase::Left(at, _) if at & !1 == one.at);
@@ -201,12 +205,12 @@ impl RegisterState {
     /// What the flags stand for behind an instruction; `self`: before it, `after`: the values behind it.
     fn flag_operands_after(&self, one: &Instruction, after: &Self) -> Option<FlagOperands> {
         let of = |operand| match operand {
-            Operand::Number(number) => SymbolicValue::constant(number),
+            Operand::Immediate(number) => SymbolicValue::constant(number),
             Operand::Register(register) => self.register_value(register),
         };
         let zero = SymbolicValue::constant(0);
         let (left, right, is_sum, is_partial) = match one.flags {
-            FlagEffect::Keep => return self.flags,
+            FlagEffect::Unchanged => return self.flags,
             _ if one.condition.is_some() => return None,
             FlagEffect::Other => return None,
             FlagEffect::Compare(left, right) => {
@@ -225,14 +229,14 @@ impl RegisterState {
     }
 
     /// The registers that an instruction writes and that then point into the RAM. A sum with an index stays there.
-    fn ram_pointer_mask_after(&self, image: &Image, one: &Instruction) -> u16 {
+    fn ram_pointer_mask_after(&self, image: &FirmwareImage, one: &Instruction) -> u16 {
         let (to, is_ram) = match one.effect {
             RegisterEffect::Copy(to, from) | RegisterEffect::Add(to, from, _) => {
                 (to, self.is_ram_pointer(from))
             }
             RegisterEffect::Sum(to, a, b) => (to, self.is_ram_pointer(a) || self.is_ram_pointer(b)),
             RegisterEffect::Set(to, _)
-            | RegisterEffect::High(to, _)
+            | RegisterEffect::SetUpperHalf(to, _)
             | RegisterEffect::Literal(to, _) => {
                 let number =
                     self.compute_result(image, one).and_then(|(_, value)| value.as_constant());
@@ -243,7 +247,11 @@ impl RegisterState {
         u16::from(is_ram) << to
     }
 
-    fn compute_result(&self, image: &Image, one: &Instruction) -> Option<(u8, SymbolicValue)> {
+    fn compute_result(
+        &self,
+        image: &FirmwareImage,
+        one: &Instruction,
+    ) -> Option<(u8, SymbolicValue)> {
         let numbers = |a: u8, b: u8| (self.register_value(a), self.register_value(b));
         Some(match one.effect {
             RegisterEffect::Other => return None,
@@ -281,7 +289,7 @@ impl RegisterState {
                 }
                 _ => return None,
             },
-            RegisterEffect::High(to, half) => {
+            RegisterEffect::SetUpperHalf(to, half) => {
                 let low = self.register_value(to).as_constant()?;
                 (to, SymbolicValue::constant(half << 16 | low & 0xFFFF))
             }
@@ -293,7 +301,7 @@ impl RegisterState {
                 let shifted = if by > 0 { number << by } else { number >> -by };
                 (to, SymbolicValue::constant(shifted))
             }
-            RegisterEffect::From(to, number, from) => (
+            RegisterEffect::ReverseSubtract(to, number, from) => (
                 to,
                 SymbolicValue::constant(
                     number.wrapping_sub(self.register_value(from).as_constant()?),
@@ -324,8 +332,8 @@ const MAX_BLOCK_VISITS: u32 = 64;
 /// A value is the same on all paths that lead to the block, or it is [`SymbolicBase::Met`]. What a register holds since an
 /// earlier pass of the place that its value is named by gets a name of its own.
 #[must_use]
-pub(crate) fn block_entry_states(
-    image: &Image,
+pub(crate) fn compute_block_entry_states(
+    image: &FirmwareImage,
     graph: &ControlFlowGraph,
     arguments: [Option<u32>; 4],
     ram: u16,
@@ -382,17 +390,20 @@ fn reverse_postorder(graph: &ControlFlowGraph) -> Vec<usize> {
 
 /// Takes the values through a block, its call included.
 pub(crate) fn execute_block(
-    image: &Image,
+    image: &FirmwareImage,
     graph: &ControlFlowGraph,
     number: usize,
     state: &mut RegisterState,
 ) {
     let block = &graph.blocks[number];
     for one in &block.instructions {
-        state.step(image, one);
+        state.execute_conditional_instruction(image, one);
     }
     if block.call.is_some() {
-        state.step(image, &Instruction::call_clobbers(block.last_instruction().at));
+        state.execute_conditional_instruction(
+            image,
+            &Instruction::call_clobbers(block.last_instruction().at),
+        );
     }
 }
 

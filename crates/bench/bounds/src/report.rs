@@ -8,15 +8,15 @@ use std::{
 use anyhow::{Context as _, Result};
 
 use crate::{
-    clock::{CLOCK_CONFIGURATIONS, ClockConfiguration},
+    clock_configuration::{CLOCK_CONFIGURATIONS, ClockConfiguration},
     critical_sections::{CriticalSection, CriticalSectionAnalysis},
     declarations::{CalibrationSizes, DeclarationTable},
-    entry::FunctionEntry,
-    firmware::FLASH_PROGRAM_STALL_US,
-    image::Image,
+    flow_facts::FLASH_PROGRAM_STALL_US,
+    function_entry::FunctionEntry,
+    image::FirmwareImage,
     program::Program,
     response_time::{self, CoreOverhead, TaskLoad},
-    source::SourceCode,
+    source_code::SourceCode,
     tasks::{self, Task},
     wcet::WcetAnalysis,
 };
@@ -64,8 +64,8 @@ pub struct TimingBounds {
 ///
 /// # Errors
 /// The app's table cannot be read, or a task has no function in the image.
-pub fn compute(
-    image: &Image,
+pub fn compute_timing_bounds(
+    image: &FirmwareImage,
     app: &str,
     table: &DeclarationTable,
     source: &SourceCode,
@@ -114,14 +114,14 @@ pub fn compute(
     let loops = program.loop_counts_by_bound_origin();
     Ok(TimingBounds {
         all,
-        problems: program.problems(),
+        problems: program.missing_flow_facts(),
         unused: program.unused_declarations(),
         loops,
     })
 }
 
 /// The numbers of the tasks' exceptions.
-fn exception_numbers(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
+fn exception_numbers(image: &FirmwareImage, tasks: &[Task]) -> Result<Vec<u32>> {
     let number = |task: &Task| {
         let function = image.function_by_symbol(&task.interrupt);
         let number = function.and_then(|function| image.exception_number(function.start));
@@ -134,11 +134,11 @@ fn exception_numbers(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
 /// the longest turn of each task.
 fn task_loads(
     program: &Program<'_>,
-    image: &Image,
+    image: &FirmwareImage,
     tasks: &[Task],
     clock: ClockConfiguration,
 ) -> Result<(Vec<TaskLoad>, Vec<u64>)> {
-    let for_bytes_within_line = program.for_bytes_within_line();
+    let for_bytes_within_line = program.with_bytes_within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
     let (mut entries, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
     let mut seldom: BTreeMap<u32, TaskLoad> = BTreeMap::new();
@@ -195,7 +195,8 @@ fn task_loads(
                 let known = sections.entry((*entry, free.clone())).or_insert_with(|| {
                     let worst = WcetAnalysis::new(program, clock, *waiting)
                         .with_zero_cost_functions(free.clone());
-                    CriticalSectionAnalysis::new(program, &worst).sections_in_call_tree(*entry)
+                    CriticalSectionAnalysis::new(program, &worst)
+                        .find_critical_sections_in_call_tree(*entry)
                 });
                 known.clone()
             });

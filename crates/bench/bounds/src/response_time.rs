@@ -13,7 +13,7 @@
 //! interrupt software raises may have one start more in a window, for it is raised late. Where R is longer than the
 //! period, a start waits for the turn before, and its C counts twice: interrupts that are pending do not add up.
 
-use crate::clock::{ClockConfiguration, FLASH_CACHE_LINES};
+use crate::clock_configuration::{ClockConfiguration, FLASH_CACHE_LINES};
 
 /// What the core spends beyond the tasks' own instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,13 +7,13 @@ use std::{
 };
 
 use crate::{
-    clock::{ClockConfiguration, FLASH_CACHE_LINES, FLASH_LINE_BYTES},
-    control_flow::Edge,
+    clock_configuration::{ClockConfiguration, FLASH_CACHE_LINES, FLASH_LINE_BYTES},
+    control_flow::ControlFlowEdge,
     declarations::IterationBound,
     decode::AddressingMode,
-    entry::FunctionEntry,
+    function_entry::FunctionEntry,
     longest_path::{self, CycleCosts, LoopIterations, PathCost, TracedPath},
-    loops::Loop,
+    loop_analysis::Loop,
     prepared_function::{BoundedLoop, PreparedFunction},
     program::Program,
 };
@@ -192,19 +192,21 @@ impl<'a> WcetAnalysis<'a> {
         let joined = find_merged_loops(prepared);
         for bounded in &prepared.loops {
             let own = match bounded.rounds {
-                IterationBound::Byte => IterationBound::Times(self.waiting.unwrap_or_else(|| {
-                    let name = &prepared.graph.name;
-                    self.program.report_problem(format!(
-                        "{name} has a round for each byte that waits, and its task says none"
-                    ));
-                    0
-                })),
+                IterationBound::PerWaitingByte => {
+                    IterationBound::AtMost(self.waiting.unwrap_or_else(|| {
+                        let name = &prepared.graph.name;
+                        self.program.report_problem(format!(
+                            "{name} has a round for each byte that waits, and its task says none"
+                        ));
+                        0
+                    }))
+                }
                 IterationBound::Together(_)
                     if joined.values().any(|blocks| blocks.contains(&bounded.one.header)) =>
                 {
-                    IterationBound::Times(0)
+                    IterationBound::AtMost(0)
                 }
-                IterationBound::Together(times) => IterationBound::Times(times),
+                IterationBound::Together(times) => IterationBound::AtMost(times),
                 other => other,
             };
             rounds.insert(bounded.one.header, own);
@@ -239,13 +241,15 @@ impl<'a> WcetAnalysis<'a> {
             if let Some(access) = &one.access {
                 let address = match access.at {
                     AddressingMode::Literal => None,
-                    AddressingMode::Near(base, offset) => match state.register_value(base) {
-                        value if value.as_constant().is_some() => {
-                            Some(value.offset.wrapping_add(offset))
+                    AddressingMode::ImmediateOffset(base, offset) => {
+                        match state.register_value(base) {
+                            value if value.as_constant().is_some() => {
+                                Some(value.offset.wrapping_add(offset))
+                            }
+                            value => value.peripheral_address(),
                         }
-                        value => value.peripheral_address(),
-                    },
-                    AddressingMode::Sum(base, other) => {
+                    }
+                    AddressingMode::RegisterOffset(base, other) => {
                         let (a, b) = (state.register_value(base), state.register_value(other));
                         let sum = a.as_constant().zip(b.as_constant());
                         sum.map(|(a, b)| a.wrapping_add(b))
@@ -255,14 +259,14 @@ impl<'a> WcetAnalysis<'a> {
                 };
                 let is_ram = match access.at {
                     AddressingMode::Literal => false,
-                    AddressingMode::Near(base, _) => state.is_ram_pointer(base),
-                    AddressingMode::Sum(base, other) => {
+                    AddressingMode::ImmediateOffset(base, _) => state.is_ram_pointer(base),
+                    AddressingMode::RegisterOffset(base, other) => {
                         state.is_ram_pointer(base) || state.is_ram_pointer(other)
                     }
                 };
                 cycles += u64::from(self.clock.access_wait_cycles(access, address, is_ram));
             }
-            state.step(self.program.image, one);
+            state.execute_conditional_instruction(self.program.image, one);
         }
         let calls = prepared.calls[number]
             .iter()
@@ -343,7 +347,7 @@ impl CycleCosts for FunctionCosts {
         self.blocks[usize::from(is_kept || self.is_kept)][block]
     }
 
-    fn edge_cycles(&self, from: usize, edge: &Edge, is_kept: bool) -> u64 {
+    fn edge_cycles(&self, from: usize, edge: &ControlFlowEdge, is_kept: bool) -> u64 {
         let end = self.prepared.graph.blocks[from].end_address();
         match (edge.is_taken, is_kept || self.is_kept) {
             (true, is_kept) => self.clock.taken_branch_cycles(end, is_kept),
@@ -362,8 +366,8 @@ impl CycleCosts for FunctionCosts {
 
     fn loop_iterations(&self, one: &Loop) -> LoopIterations {
         let repeated = |rounds: IterationBound| match rounds {
-            IterationBound::Times(times) => LoopIterations { times: times.into(), wait: 0 },
-            IterationBound::Micros(us) => {
+            IterationBound::AtMost(times) => LoopIterations { times: times.into(), wait: 0 },
+            IterationBound::Microseconds(us) => {
                 LoopIterations { times: 1, wait: u64::from(us) * u64::from(self.clock.mhz) }
             }
             _ => LoopIterations::default(),

@@ -2,15 +2,15 @@
 //! call that leads nowhere and a circle of calls are named; what has a bound costs what the manual says.
 
 use trueup_bounds::{
-    clock::{CLOCK_CONFIGURATIONS, ClockConfiguration},
+    clock_configuration::{CLOCK_CONFIGURATIONS, ClockConfiguration},
     critical_sections::CriticalSectionAnalysis,
     declarations::{
         CalibrationSizes, CallTargets, DeclarationTable, IterationBound, LoopBound, SourceLocation,
     },
-    entry::FunctionEntry,
-    image::Image,
+    function_entry::FunctionEntry,
+    image::FirmwareImage,
     program::Program,
-    source::SourceCode,
+    source_code::SourceCode,
     wcet::WcetAnalysis,
 };
 
@@ -67,11 +67,11 @@ fn worst_of(
     let names = ["first", "second"];
     let functions: Vec<_> =
         (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
-    let (image, source) = (Image::from_code(&functions), SourceCode::new(".".into()));
+    let (image, source) = (FirmwareImage::from_code(&functions), SourceCode::new(".".into()));
     let program = Program::new(&image, table, &source, CalibrationSizes::EMPTY);
     let entry = FunctionEntry { arguments, ..FunctionEntry::new(FLASH) };
     let cycles = WcetAnalysis::new(&program, clock, None).function_cycles(entry);
-    (cycles, program.problems())
+    (cycles, program.missing_flow_facts())
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn a_loop_without_a_bound_is_named_unless_the_table_has_it() {
     assert!(problems[0].starts_with("loop without a bound in first, at 0x8000000"), "{problems:?}");
     const DECLARED: &[LoopBound] = &[LoopBound {
         at: SourceLocation { function: "first", line: "" },
-        rounds: IterationBound::Times(10),
+        rounds: IterationBound::AtMost(10),
         reason: "the unit answers within ten polls",
     }];
     let table = DeclarationTable { loops: DECLARED, ..DeclarationTable::default() };
@@ -115,26 +115,26 @@ fn declared(code: &[u16], rounds: IterationBound) -> u64 {
 
 #[test]
 fn an_unrolled_loop_has_as_many_rounds_fewer() {
-    let copied = IterationBound::Copied { argument: 2, per: 4 };
+    let copied = IterationBound::PerStoredBytes { argument: 2, per: 4 };
     assert_eq!(
         declared(COPIES, copied),
-        declared(COPIES, IterationBound::Times(5)),
+        declared(COPIES, IterationBound::AtMost(5)),
         "two words a round"
     );
     assert_eq!(
         declared(POLLS, copied),
-        declared(POLLS, IterationBound::Times(10)),
+        declared(POLLS, IterationBound::AtMost(10)),
         "no store to count"
     );
     let length = IterationBound::Length { argument: 2, per: 4, more: 0 };
-    assert_eq!(declared(COPIES, length), declared(COPIES, IterationBound::Times(10)));
+    assert_eq!(declared(COPIES, length), declared(COPIES, IterationBound::AtMost(10)));
     assert_eq!(
         declared(HALVES, IterationBound::Mask(32)),
-        declared(HALVES, IterationBound::Times(8))
+        declared(HALVES, IterationBound::AtMost(8))
     );
     assert_eq!(
         declared(POLLS, IterationBound::Mask(32)),
-        declared(POLLS, IterationBound::Times(32))
+        declared(POLLS, IterationBound::AtMost(32))
     );
 }
 
@@ -144,7 +144,7 @@ fn a_loop_with_two_headers_that_is_one_has_its_rounds_once() {
     // same without it, and the way back.
     let round = 3 + 3 + 4 + 3;
     assert_eq!(declared(THREADED, IterationBound::Together(20)), 20 * round + (round - 3) + 1);
-    let nested = declared(THREADED, IterationBound::Times(20));
+    let nested = declared(THREADED, IterationBound::AtMost(20));
     assert!(nested > 10 * 20 * round, "{nested}: one within the other");
 }
 
@@ -169,13 +169,14 @@ fn calls_that_lead_nowhere_and_circles_are_named() {
 fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
     let of = |code| {
         let (image, source) =
-            (Image::from_code(&[("first", FLASH, code)]), SourceCode::new(".".into()));
+            (FirmwareImage::from_code(&[("first", FLASH, code)]), SourceCode::new(".".into()));
         let table = DeclarationTable::default();
         let program = Program::new(&image, &table, &source, CalibrationSizes::EMPTY);
         let worst = WcetAnalysis::new(&program, SLOW, None);
         let entry = FunctionEntry::new(FLASH);
-        let sections = CriticalSectionAnalysis::new(&program, &worst).sections_in_call_tree(entry);
-        assert!(program.problems().is_empty(), "{:?}", program.problems());
+        let sections = CriticalSectionAnalysis::new(&program, &worst)
+            .find_critical_sections_in_call_tree(entry);
+        assert!(program.missing_flow_facts().is_empty(), "{:?}", program.missing_flow_facts());
         sections.iter().map(|section| (section.ceiling, section.cycles)).collect::<Vec<_>>()
     };
     // The write of the mask, the load, the sum, the store, the number, the write back; 0xC0 is the priority 4.

@@ -10,7 +10,7 @@
 
 use trueup_campaigns::{
     input_dependence::{DEPENDENCE_KINDS, DependenceKind},
-    score::inputs::{DependenceScore, score_dependence},
+    score::input_dependence::{DependenceScore, diagnose_and_score_dependence},
 };
 use trueup_numerics::parallel::parallel_map;
 
@@ -21,7 +21,7 @@ fn main() {
     let controls = numbers.next().unwrap_or(300);
     let of = |kind: DependenceKind, count: u64| -> Vec<DependenceScore> {
         let seeds: Vec<u64> = (first..first + count).collect();
-        parallel_map(&seeds, true, |seed| score_dependence(kind, *seed))
+        parallel_map(&seeds, true, |seed| diagnose_and_score_dependence(kind, *seed))
     };
     println!("kind                      draws named foreign gone");
     let mut sums = [0; 4];

@@ -8,7 +8,9 @@
 
 use std::{env, path::Path};
 
-use trueup_campaigns::year::{MachineKind, SimulatedYear, YearConfig, simulate_year_with_outliers};
+use trueup_campaigns::simulated_year::{
+    MachineKind, SimulatedYear, YearConfig, simulate_year_with_outliers,
+};
 use trueup_learn::calibration_monitoring::monitor_calibration;
 use trueup_machine::{Machine, MachineFile, RunFile};
 

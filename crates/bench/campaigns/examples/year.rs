@@ -14,9 +14,9 @@
 
 use std::{collections::BTreeSet, env, path::Path};
 
-use trueup_campaigns::year::{MachineKind, SimulatedYear, YearConfig, simulate_year};
+use trueup_campaigns::simulated_year::{MachineKind, SimulatedYear, YearConfig, simulate_year};
 use trueup_learn::{EventKind, LearnerState, LearningLimits, learn_from_run};
-use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 use trueup_numerics::least_squares::GivensQr;
 
 /// The readings of two shifts and of ten.
@@ -24,7 +24,7 @@ const READINGS_IN_TWO_SHIFTS: usize = 4;
 const READINGS_IN_TEN_SHIFTS: usize = 20;
 /// Four times the noise of a reading, in µm.
 const LARGE_EFFECT_UM: f64 = 8.0;
-const DAY_S: f64 = 86_400.0;
+const SECONDS_PER_DAY: f64 = 86_400.0;
 /// Days that are used for the fit of the floor.
 const FITTED_DAYS: usize = 10;
 /// Of a constant, to see what it does.
@@ -59,7 +59,7 @@ fn prediction_error_rms_um(machine: &str, run: &RunFile, truth_um: &[f64], index
 
 fn predict_um(machine: &str, run: &RunFile, index: usize) -> Vec<f64> {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
-    let rows = Predictor::new(&machine, run).expect("a prediction");
+    let rows = RunPredictor::new(&machine, run).expect("a prediction");
     rows.model_values().map(|values| values.to_array()[index]).collect()
 }
 
@@ -158,9 +158,9 @@ fn simulate_learning(year: &SimulatedYear) -> YearResult {
         let starts = run.column("time_s").map_or(0.0, |times| times[0]);
         let since_s = starts - *first_s.get_or_insert(starts);
         // On the last of these days the reading may be later than the first one was.
-        let is_due = since_s > 28.0 * DAY_S;
+        let is_due = since_s > 28.0 * SECONDS_PER_DAY;
         let asks = learned.notes.iter().any(|note| note.starts_with("No check of the probe"));
-        is_asked &= asks == is_due || since_s == 28.0 * DAY_S;
+        is_asked &= asks == is_due || since_s == 28.0 * SECONDS_PER_DAY;
         for (place, planted) in year.events.iter().enumerate() {
             let end = year.events.get(place + 1).map_or(f64::INFINITY, |next| next.at_s);
             if starts < planted.at_s || starts >= end {
@@ -170,7 +170,7 @@ fn simulate_learning(year: &SimulatedYear) -> YearResult {
             for event in &learned.memory.events {
                 let at = event.at.unwrap_or(0.0);
                 let is_slow = matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
-                if is_slow || at < planted.at_s - 3.0 * DAY_S || at >= end {
+                if is_slow || at < planted.at_s - 3.0 * SECONDS_PER_DAY || at >= end {
                     continue;
                 }
                 let it = &mut found[place];
@@ -213,7 +213,7 @@ fn print_days(drawn: &SimulatedYear, it: &YearResult) {
     });
     let parts: Vec<String> = parts.collect();
     println!("    95 % of days by quarter: {}", parts.join(" "));
-    let at = drawn.events.iter().map(|event| (event.at_s / DAY_S / 7.0 * 5.0) as usize);
+    let at = drawn.events.iter().map(|event| (event.at_s / SECONDS_PER_DAY / 7.0 * 5.0) as usize);
     println!("    events on days {:?}", at.collect::<Vec<_>>());
     let bad = it.days.iter().enumerate().filter(|(_, d)| d[1] > 3.0);
     let bad: Vec<String> = bad.map(|(n, d)| format!("{n}:{:.0}", d[1])).collect();

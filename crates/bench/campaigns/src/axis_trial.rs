@@ -10,12 +10,12 @@ use trueup_twin::{
     instrument::Instrument,
     machine::{DriveCommand, SimulatedMachine},
     noise::RandomStream,
+    run_table::RunTable,
     scenario::Scenario,
-    table::RunTable,
 };
 
 /// The travel in mm.
-pub const TRAVEL_MM: [f64; 2] = [0.0, 1000.0];
+pub const AXIS_TRAVEL_MM: [f64; 2] = [0.0, 1000.0];
 /// The longest step of the simulation, in s.
 const MAX_TIME_STEP_S: f64 = 1.0;
 /// Expansion of the screw in µm/(m·K).
@@ -42,7 +42,7 @@ pub enum AxisFileDefect {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrialStep {
     /// The axis goes there, in mm, at a feed in mm/min.
-    Go(f64, f64),
+    MoveTo(f64, f64),
     /// The axis stands for this many seconds and is read at their end.
     Read(f64),
     /// The axis stands for this many seconds.
@@ -108,7 +108,7 @@ impl AxisTrial {
             seed,
             wrong,
             machine: format!(
-                "[machine]\nname = \"axis trial\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = {TRAVEL_MM:?}\n{}",
+                "[machine]\nname = \"axis trial\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = {AXIS_TRAVEL_MM:?}\n{}",
                 if is_bare { "" } else { &thermal }
             ),
             scenario: Scenario::parse(&scenario, Path::new("axis-trial.toml"))
@@ -118,7 +118,7 @@ impl AxisTrial {
 
     /// Returns the record (CSV) of the morning `day`, and how many minutes it took.
     #[must_use]
-    pub fn run(&self, acts: &[TrialStep], day: u64) -> (String, f64) {
+    pub fn simulate_day(&self, acts: &[TrialStep], day: u64) -> (String, f64) {
         let seed = self.seed.wrapping_mul(1000).wrapping_add(day);
         let mut machine = SimulatedMachine::new(&self.scenario, seed);
         let mut instrument = Instrument::new(&self.scenario.instrument, "dx", seed);
@@ -128,7 +128,7 @@ impl AxisTrial {
         let mut table = RunTable::new();
         for act in acts {
             let (to_mm, seconds) = match *act {
-                TrialStep::Go(to_mm, feed_mm_per_min) => {
+                TrialStep::MoveTo(to_mm, feed_mm_per_min) => {
                     feed = feed_mm_per_min;
                     (to_mm, 60.0 * (to_mm - at_mm).abs() / feed_mm_per_min)
                 }

@@ -105,7 +105,7 @@ pub struct TrainingAndTestDays {
 }
 
 /// Names of the switches (0, 1) and of the amounts.
-const SWITCH_NAMES: [&str; 6] =
+const SWITCH_COLUMN_NAMES: [&str; 6] =
     ["door_open", "chiller_on", "mist_on", "clamp_closed", "air_on", "pallet_in"];
 const CONTINUOUS_INPUT_NAMES: [&str; 6] =
     ["coolant_bar", "air_flow", "humidity", "oil_bar", "supply_v", "vibration"];
@@ -216,7 +216,10 @@ pub fn draw(kind: DependenceKind, seed: u64) -> TrainingAndTestDays {
         let mut csv = String::from(
             "time_s,sensor_counts,spindle_rpm,tool,temp_room_c,temp_left_c,temp_right_c,temp_hall_c",
         );
-        SWITCH_NAMES.iter().chain(&CONTINUOUS_INPUT_NAMES).for_each(|name| csv.extend([",", name]));
+        SWITCH_COLUMN_NAMES
+            .iter()
+            .chain(&CONTINUOUS_INPUT_NAMES)
+            .for_each(|name| csv.extend([",", name]));
         csv.push_str(",measured_elongation_um\n");
         let mut state = InputState::draw_steady_state(&mut chance);
         for row in 0..ROWS_PER_DAY {

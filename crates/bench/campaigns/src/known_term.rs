@@ -21,7 +21,7 @@ pub fn known_causes() -> impl Iterator<Item = HiddenCause> {
 
 /// Returns all pairs (in the file, newly hidden) that one machine can have.
 #[must_use]
-pub fn known_and_new_causes() -> Vec<(HiddenCause, HiddenCause)> {
+pub fn known_and_new_cause_pairs() -> Vec<(HiddenCause, HiddenCause)> {
     let is_named = |cause: &&HiddenCause| {
         matches!(
             cause.expected_diagnosis(),
@@ -38,7 +38,7 @@ pub fn known_and_new_causes() -> Vec<(HiddenCause, HiddenCause)> {
 /// Returns the challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
 /// `new`. `None` where no machine has both.
 #[must_use]
-pub fn draw_with_known_term(
+pub fn draw_test_case_with_known_term(
     known: HiddenCause,
     new: HiddenCause,
     ratio: f64,
@@ -49,8 +49,8 @@ pub fn draw_with_known_term(
     let (a, b) = (a.clone(), b.clone());
     challenge.machine += &format_term(&a, &challenge);
     let truth = &mut challenge.truth;
-    add(&mut truth.believed_um, &a.um);
-    add(&mut truth.holdout_believed_um, &a.holdout_um);
+    add_elementwise(&mut truth.believed_um, &a.um);
+    add_elementwise(&mut truth.holdout_believed_um, &a.holdout_um);
     truth.effect_um.clone_from(&b.um);
     truth.holdout_effect_um.clone_from(&b.holdout_um);
     truth.expected = b.cause.expected_diagnosis();
@@ -61,7 +61,7 @@ pub fn draw_with_known_term(
 /// Returns the challenge with `cause` in the data and in the file, where it has half of its size: what is not
 /// in the file is about `ratio` times the noise.
 #[must_use]
-pub fn draw_aged_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
+pub fn draw_test_case_with_changed_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
     halve_effect_parameters(&mut old, &challenge);
@@ -73,7 +73,7 @@ pub fn draw_aged_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     challenge
 }
 
-fn add(sum: &mut [f64], um: &[f64]) {
+fn add_elementwise(sum: &mut [f64], um: &[f64]) {
     for (sum, um) in sum.iter_mut().zip(um) {
         *sum += um;
     }

@@ -8,13 +8,13 @@
 //! |---|---|
 //! | [`hidden_effects`] | challenges: a believed machine, runs with one hidden effect, the answer |
 //! | [`known_term`] | challenges whose machine file has a cause already |
-//! | [`physical`] | machines with physical faults, in no terms but those of physics |
+//! | [`physical_faults`] | machines with physical faults, in no terms but those of physics |
 //! | [`faulty_machine`] | such machines with faults that their records show, by seed |
 //! | [`input_dependence`] | two days with one effect of recorded inputs that is in no list |
 //! | [`spindle_trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
 //! | [`axis_trial`] | an axis of the same kind |
-//! | [`month`] | a month of a machine that ages, with a probe now and then |
-//! | [`year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
+//! | [`simulated_month`] | a month of a machine that ages, with a probe now and then |
+//! | [`simulated_year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
 //! | [`run_table`] | runs with columns or readings changed |
 //! | [`score`] | the score of an answer to a drawn case |
 //!
@@ -40,10 +40,10 @@ pub mod faulty_machine;
 pub mod hidden_effects;
 pub mod input_dependence;
 pub mod known_term;
-pub mod month;
-mod own_effect;
-pub mod physical;
+mod orthogonal_component;
+pub mod physical_faults;
 pub mod run_table;
 pub mod score;
+pub mod simulated_month;
+pub mod simulated_year;
 pub mod spindle_trial;
-pub mod year;

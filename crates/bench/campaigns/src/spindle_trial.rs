@@ -11,17 +11,17 @@
 
 use trueup_twin::{
     noise::{CorrelatedNoise, RandomStream},
-    table::RunTable,
+    run_table::RunTable,
 };
 
 /// The spindle's rated speed in r/min.
-pub const RATED_RPM: f64 = 24_000.0;
+pub const RATED_SPEED_RPM: f64 = 24_000.0;
 /// From row to row in s.
 const ROW_INTERVAL_S: f64 = 20.0;
 /// The hall, in °C.
-const AMBIENT_C: f64 = 20.5;
+const AMBIENT_TEMPERATURE_C: f64 = 20.5;
 /// Growth by a kelvin of the front bearing, in µm.
-const FRONT_BEARING_UM_PER_C: f64 = 4.0;
+const FRONT_BEARING_GROWTH_UM_PER_C: f64 = 4.0;
 
 /// The error in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,9 +69,9 @@ impl SpindleTrial {
             machine: format!(
                 "[machine]\nname = \"trial\"\nkind = \"3-axis\"\n\n[spindle]\nsource = \"temperature\"\n\n\
                  [spindle.temperature]\nsensor = \"temp_front_c\"\nreference_c = 20.0\n\
-                 k_um_per_c = {FRONT_BEARING_UM_PER_C:?}\nlag_s = 0.0\n"
+                 k_um_per_c = {FRONT_BEARING_GROWTH_UM_PER_C:?}\nlag_s = 0.0\n"
             ),
-            front_um_per_c: FRONT_BEARING_UM_PER_C
+            front_um_per_c: FRONT_BEARING_GROWTH_UM_PER_C
                 * (1.0 + only(SpindleFileDefect::Growth, 0.2 * size)),
             column_um_per_c: only(SpindleFileDefect::Column, 2.0 * size),
             um_per_krpm2: only(SpindleFileDefect::Centrifugal, 0.02 * size),
@@ -85,20 +85,20 @@ impl SpindleTrial {
         let mut gauge = RandomStream::new(self.seed, &format!("trial gauge {day}"));
         let wander_stream = RandomStream::new(self.seed, &format!("trial wander {day}"));
         let mut wander = CorrelatedNoise::new(wander_stream, 0.1, 0.0);
-        let mut parts_c = [AMBIENT_C; 3];
-        let mut followed_c = AMBIENT_C;
+        let mut parts_c = [AMBIENT_TEMPERATURE_C; 3];
+        let mut followed_c = AMBIENT_TEMPERATURE_C;
         let mut table = RunTable::new();
         let speeds = pieces.iter().flat_map(|(rpm, minutes)| {
             let rows = (60.0 * minutes / ROW_INTERVAL_S).round() as usize;
             std::iter::repeat_n(*rpm, rows)
         });
         for (row, rpm) in std::iter::once(0.0).chain(speeds).enumerate() {
-            let heat = (rpm / RATED_RPM).powf(1.2);
+            let heat = (rpm / RATED_SPEED_RPM).powf(1.2);
             if row > 0 {
                 for (part, [rise_c, constant_s]) in
                     parts_c.iter_mut().zip([[30.0, 2400.0], [12.0, 5400.0], [18.0, 1200.0]])
                 {
-                    let to = AMBIENT_C + rise_c * heat;
+                    let to = AMBIENT_TEMPERATURE_C + rise_c * heat;
                     *part = to + (*part - to) * (-ROW_INTERVAL_S / constant_s).exp();
                 }
             }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_campaigns::month::{EVALUATION_SEEDS, simulate_month};
+use trueup_campaigns::simulated_month::{EVALUATION_SEEDS, simulate_month};
 
 /// FNV-1a over 64 bits.
 fn hash(text: &str) -> u64 {

@@ -9,7 +9,7 @@ use std::{fmt::Write as _, fs, path::PathBuf};
 use anyhow::{Context as _, Result, ensure};
 use serde_json::Value;
 use trueup_emulator::{process, setup};
-use trueup_page::{Page, escape_html};
+use trueup_page::{HtmlPage, escape_html};
 
 use crate::cargo;
 
@@ -29,11 +29,11 @@ struct DocumentedCrate {
 /// # Errors
 /// cargo cannot be started, a crate has no page, or rustdoc finds something wrong.
 pub fn build_api_docs() -> Result<PathBuf> {
-    let mut doc = cargo::locked_command("doc");
+    let mut doc = cargo::locked_cargo_command("doc");
     doc.args(["--workspace", "--exclude", "trueup-firmware", "--no-deps", "--all-features"]);
     process::run(doc.env("RUSTDOCFLAGS", "-D warnings"))?;
 
-    let mut metadata = cargo::locked_command("metadata");
+    let mut metadata = cargo::locked_cargo_command("metadata");
     metadata.args(["--no-deps", "--format-version", "1"]);
     let metadata: Value = serde_json::from_str(&process::capture_stdout(&mut metadata)?)?;
     let crates = documented_crates(&metadata)?;
@@ -109,7 +109,7 @@ fn parse_rooms(architecture: &str) -> Vec<(String, String)> {
 /// # Errors
 /// A crate lies in no room: ARCHITECTURE.md is older than the crate.
 fn front_page_html(rooms: &[(String, String)], crates: &[DocumentedCrate]) -> Result<String> {
-    let mut page = Page::new("trueup: documentation for programmers");
+    let mut page = HtmlPage::new("trueup: documentation for programmers");
     page.add_paragraph(
         "The crates by their room, from the bottom up. A crate depends on its own room and on those above it on this page. \
          ARCHITECTURE.md shows how data flow through them.",

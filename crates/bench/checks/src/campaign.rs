@@ -17,8 +17,8 @@ const MUTATED_PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store
 /// They are those of the faults that `crates/board/node/tests/planted.rs` plants.
 const SIMULATOR_TESTED_FUNCTIONS: [(&str, &str); 16] = [
     ("core/src/limits.rs", "AppliedOffset::step"),
-    ("core/src/bridge/sources.rs", "::quality"),
-    ("core/src/bridge/sources.rs", "::switch_source"),
+    ("core/src/bridge/source_selection.rs", "::offset_quality"),
+    ("core/src/bridge/source_selection.rs", "::switch_source"),
     ("core/src/bridge.rs", "::tick"),
     ("core/src/bridge.rs", "::compute_target"),
     ("core/src/bridge.rs", "::process_samples"),
@@ -27,9 +27,9 @@ const SIMULATOR_TESTED_FUNCTIONS: [(&str, &str); 16] = [
     ("core/src/bridge/state.rs", "::fresh_value"),
     ("core/src/bridge/state.rs", "State::is_held"),
     ("link/src/frames.rs", "encode_offset_z"),
-    ("store/src/retained.rs", "encode"),
+    ("store/src/retained_state.rs", "encode"),
     ("node/src/node.rs", "::tick"),
-    ("node/src/node/restart.rs", "::catch_up"),
+    ("node/src/node/restart.rs", "::advance_clock"),
     ("node/src/node/master.rs", "Master::accept_control"),
     ("node/src/node/master.rs", "EdgeDetector::receive"),
 ];
@@ -49,7 +49,7 @@ const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 /// It does not build, or something did not hold.
 pub fn run_soak_campaign(ticks: u64, seed: u32) -> Result<()> {
     let run = |package: &str, binary: &str, test: &str| {
-        let mut command = cargo::locked_command("test");
+        let mut command = cargo::locked_cargo_command("test");
         command
             .args(["--profile", "soak", "-p", package, "--test", binary, "--"])
             .args(["--ignored", "--exact", test, "--nocapture"])
@@ -69,7 +69,7 @@ pub fn run_soak_campaign(ticks: u64, seed: u32) -> Result<()> {
     run("trueup-core", "detectors", "campaign_every_detector_finds_3000_faults_in_time")?;
     run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")?;
     // What is tried is a program of its own, so the profile of the tests is all the same: that of all other tests.
-    let mut programs = cargo::locked_command("test");
+    let mut programs = cargo::locked_cargo_command("test");
     programs
         .args(["-p", "trueup-host-tests", "--features", "emulator"])
         .args(["--test", "chip", "--test", "gateway_latency"])
@@ -84,7 +84,7 @@ pub fn run_soak_campaign(ticks: u64, seed: u32) -> Result<()> {
 /// # Errors
 /// It does not build, fewer than 95 of 100 are wholly named, or a sound one has a name.
 pub fn run_circle_campaign(count: u32) -> Result<()> {
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "fit", "--"])
         .args(["--ignored", "--exact", "circle::campaign_300_drawn_circles_and_100_sound_ones"])
         .arg("--nocapture")
@@ -103,7 +103,7 @@ pub fn run_volume_campaign(count: u32, first: u32, law: &str) -> Result<()> {
         "polynomials" => "campaign::campaign_100_drawn_machines",
         _ => "campaign::campaign_100_machines_by_another_law",
     };
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "volume", "--"])
         .args(["--ignored", "--exact", name, "--nocapture"])
         .env("TRUEUP_VOLUMES_LAW", law)
@@ -118,7 +118,7 @@ pub fn run_volume_campaign(count: u32, first: u32, law: &str) -> Result<()> {
 /// # Errors
 /// It does not build, Python is missing, or a difference is above 20 nm.
 pub fn run_volume_board_campaign(poses: u32) -> Result<()> {
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "volume_oracle", "--"])
         .args(["--ignored", "--exact"])
         .arg("campaign_the_board_is_within_20_nm_of_homogeneous_transforms")
@@ -134,7 +134,7 @@ pub fn run_volume_board_campaign(poses: u32) -> Result<()> {
 /// # Errors
 /// It does not build, or a requirement is not reached.
 pub fn run_linuxcnc_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact", "abuse::campaign_abuse", "--nocapture"])
         .env("TRUEUP_ABUSE_CYCLES", cycles.to_string())
@@ -150,7 +150,7 @@ pub fn run_linuxcnc_event_campaign(cycles: u64, events: u64, seed: u64, ways: &s
 /// # Errors
 /// It does not build, or the circle is not 80 % rounder, or 95 % of the backlash is not gone.
 pub fn run_linuxcnc_circular_test() -> Result<()> {
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact"])
         .args(["circle::campaign_the_same_circle_is_rounder_with_the_bridge", "--nocapture"]);
@@ -163,7 +163,7 @@ pub fn run_linuxcnc_circular_test() -> Result<()> {
 /// # Errors
 /// It does not build, or an input does what none may.
 pub fn run_fuzz_targets(minutes: u64) -> Result<()> {
-    let mut test = cargo::locked_command("test");
+    let mut test = cargo::locked_cargo_command("test");
     test.args([
         "--profile",
         "soak",
@@ -193,13 +193,13 @@ pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
     names.sort_unstable();
     let drawn = draw_sample(names.iter().map(String::as_str).collect(), draw, seed);
     let by_unit =
-        run_mutants(mutants_command(&program), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
+        test_mutants(mutants_command(&program), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
     let missed: Vec<&str> = by_unit.missed.iter().map(String::as_str).collect();
     let all_tests = MUTATED_PACKAGES.map(|name| format!("--test-package={name}"));
     let all_tests = all_tests.each_ref().map(String::as_str);
     let by_all = match missed[..] {
         [] => MutantOutcomes::default(),
-        _ => run_mutants(mutants_command(&program), "all-tests", &missed, &all_tests)?,
+        _ => test_mutants(mutants_command(&program), "all-tests", &missed, &all_tests)?,
     };
     trueup_output::write_line_best_effort(format_args!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
@@ -232,7 +232,7 @@ pub fn run_simulator_mutation_campaign() -> Result<()> {
         names.extend(own);
     }
     let options = ["--test-package=trueup-node", "--cargo-test-arg=--test=simulator"];
-    let found = run_mutants(mutants_command(&program), "simulator", &names, &options)?;
+    let found = test_mutants(mutants_command(&program), "simulator", &names, &options)?;
     trueup_output::write_line_best_effort(format_args!(
         "{} mutants: the simulator finds {}, {} by the time limit, {} do not compile, {} missed\n{}",
         names.len(),
@@ -338,7 +338,7 @@ impl MutantOutcomes {
 
 /// Tries these mutants with these options, but for those that were tried before, and leaves the lists in
 /// `target/mutants/<folder>`.
-fn run_mutants(
+fn test_mutants(
     mut run: Command,
     folder: &str,
     names: &[&str],

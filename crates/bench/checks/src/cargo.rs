@@ -9,7 +9,7 @@ use anyhow::Result;
 use trueup_emulator::{process, setup};
 
 /// `cargo <verb> --locked`, to be gone on with.
-pub(crate) fn locked_command(verb: &str) -> Command {
+pub(crate) fn locked_cargo_command(verb: &str) -> Command {
     let mut command = cargo_command(verb);
     command.arg("--locked");
     command
@@ -28,7 +28,7 @@ pub(crate) fn cargo_command(verb: &str) -> Command {
 /// # Errors
 /// It cannot be had or built.
 pub(crate) fn install_tool(name: &str, version: &str) -> Result<PathBuf> {
-    install_with_options(name, version, &["--debug"])
+    install_tool_with_options(name, version, &["--debug"])
 }
 
 /// The same for a program that works for minutes where it is not optimised.
@@ -40,17 +40,17 @@ pub(crate) fn install_release_tool(
     version: &str,
     features: &[&str],
 ) -> Result<PathBuf> {
-    install_with_options(name, version, features)
+    install_tool_with_options(name, version, features)
 }
 
-fn install_with_options(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
+fn install_tool_with_options(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
     let folder = setup::project_root().join("target/tools");
     let program = folder.join("bin").join(name);
     if !has_expected_version(&program, name, version) {
         trueup_output::write_diagnostic(format_args!(
             "building {name} {version} into target/tools"
         ));
-        let mut install = locked_command("install");
+        let mut install = locked_cargo_command("install");
         install.args(["--force", name, "--version", version]).args(options);
         install.arg("--root").arg(&folder);
         install.arg("--target-dir").arg(folder.join("build"));

@@ -9,13 +9,13 @@
 
 pub mod api_docs;
 pub mod book;
-pub mod bounds;
 pub mod campaign;
 mod cargo;
-pub mod debian;
+pub mod debian_package;
 pub mod release;
 pub mod structure;
 mod supply_chain;
 mod tally;
 mod test_run;
+pub mod timing_bounds;
 pub mod verify;

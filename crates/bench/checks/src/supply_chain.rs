@@ -5,13 +5,13 @@ use std::{path::PathBuf, process::Command};
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{process, setup};
 
-use crate::{cargo, tally::Tally};
+use crate::{cargo, tally::TestResults};
 
 /// Says which compiler this is, and that it is not older than `rust-version` in `Cargo.toml`.
 ///
 /// # Errors
 /// It is older, or does not say what it is.
-pub(crate) fn check_compiler_version() -> Result<Tally> {
+pub(crate) fn check_compiler_version() -> Result<TestResults> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
     let stdout = process::capture_stdout(Command::new(rustc).arg("--version"))?;
     let manifest = std::fs::read_to_string(setup::project_root().join("Cargo.toml"))?;
@@ -29,7 +29,7 @@ pub(crate) fn check_compiler_version() -> Result<Tally> {
         parse_major_minor(version) >= parse_major_minor(oldest),
         "this compiler is older than {oldest}"
     );
-    Ok(Tally::with_passed(1))
+    Ok(TestResults::with_passed(1))
 }
 
 /// Returns the two numbers that count: `1.95.0-beta.1` gives 1 and 95.
@@ -46,7 +46,7 @@ const CARGO_DENY_VERSION: &str = "0.20.2";
 ///
 /// # Errors
 /// A crate breaks a rule, or cargo-deny cannot be built.
-pub(crate) fn check_dependencies() -> Result<Tally> {
+pub(crate) fn check_dependencies() -> Result<TestResults> {
     let deny = install_cargo_deny()?;
     let check = |what: &[&str]| {
         let mut command = Command::new(&deny);
@@ -64,14 +64,14 @@ pub(crate) fn check_dependencies() -> Result<Tally> {
     ]);
     model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::project_root());
     process::run(&mut model)?;
-    let mut tally = Tally::with_passed(1);
+    let mut tally = TestResults::with_passed(1);
     tally.merge(match check_advisories()? {
-        AdvisoryStatus::None(_) => Tally::with_passed(1),
+        AdvisoryStatus::None(_) => TestResults::with_passed(1),
         // The world finds a hole on any day; that must not stop who has changed nothing.
-        AdvisoryStatus::Known(advisories) => Tally::report_unavailable(&format!(
+        AdvisoryStatus::Known(advisories) => TestResults::report_unavailable(&format!(
             "cargo-deny advisories, to be looked at: {advisories}"
         )),
-        AdvisoryStatus::NotHad => Tally::report_unavailable(&format!(
+        AdvisoryStatus::DatabaseUnavailable => TestResults::report_unavailable(&format!(
             "cargo-deny advisories: {ADVISORY_DATABASE_UNAVAILABLE}"
         )),
     });
@@ -87,7 +87,7 @@ enum AdvisoryStatus {
     /// There are some; the message.
     Known(String),
     /// Their database cannot be had here.
-    NotHad,
+    DatabaseUnavailable,
 }
 
 fn check_advisories() -> Result<AdvisoryStatus> {
@@ -95,7 +95,7 @@ fn check_advisories() -> Result<AdvisoryStatus> {
     let mut fetch = Command::new(&deny);
     fetch.args(["fetch", "db"]).current_dir(setup::project_root());
     if process::run(&mut fetch).is_err() {
-        return Ok(AdvisoryStatus::NotHad);
+        return Ok(AdvisoryStatus::DatabaseUnavailable);
     }
     let mut check = Command::new(&deny);
     check
@@ -111,7 +111,7 @@ fn check_advisories() -> Result<AdvisoryStatus> {
 ///
 /// # Errors
 /// cargo-deny cannot be built.
-pub(crate) fn vulnerability_report() -> Result<(String, Option<String>)> {
+pub(crate) fn build_vulnerability_report() -> Result<(String, Option<String>)> {
     let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
     // The place of the files on this computer is not handed out.
     let plain =
@@ -123,7 +123,7 @@ pub(crate) fn vulnerability_report() -> Result<(String, Option<String>)> {
                 "vulnerabilities.txt lists advisories: decide on each before it is handed out";
             (format!("{head}:\n{}\n", plain(message)), Some(missing.into()))
         }
-        AdvisoryStatus::NotHad => {
+        AdvisoryStatus::DatabaseUnavailable => {
             let lines = "cargo deny fetch db && cargo deny check advisories";
             let text = format!(
                 "{head}: not looked up, {ADVISORY_DATABASE_UNAVAILABLE}. Where there is a network: {lines}\n"

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// Counts of test results.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Tally {
+pub struct TestResults {
     /// Tests and steps that passed.
     pub passed: u32,
     /// Tests and steps that failed.
@@ -28,7 +28,7 @@ pub struct Tally {
     announced: u32,
 }
 
-impl Tally {
+impl TestResults {
     /// This many things that passed.
     pub(crate) fn with_passed(count: u32) -> Self {
         Self { passed: count, ..Self::default() }
@@ -64,7 +64,7 @@ impl Tally {
     /// Takes a line that a test program printed; `took` is the time since its last result.
     ///
     /// Gives whether the line is the result of one test.
-    pub(crate) fn record_line(&mut self, program: &str, line: &str, took: Duration) -> bool {
+    pub(crate) fn count_result_line(&mut self, program: &str, line: &str, took: Duration) -> bool {
         if line.starts_with("skipped:") {
             self.lacking += 1;
             self.announced += 1;
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn what_did_not_run_is_not_counted_as_passed() {
-        let mut tally = Tally::default();
+        let mut tally = TestResults::default();
         let lines = [
             "running 4 tests",
             "test a::b ... ok",
@@ -126,29 +126,35 @@ mod tests {
             "test result: ok. 4 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out",
         ];
         for line in lines {
-            tally.record_line("x", line, Duration::from_secs(1));
+            tally.count_result_line("x", line, Duration::from_secs(1));
         }
         let times = vec![("x: a::b".into(), Duration::from_secs(1))];
-        let expected =
-            Tally { passed: 3, lacking: 1, long: 1, campaigns: 1, times, ..Tally::default() };
+        let expected = TestResults {
+            passed: 3,
+            lacking: 1,
+            long: 1,
+            campaigns: 1,
+            times,
+            ..TestResults::default()
+        };
         assert_eq!(tally, expected);
         assert_eq!(tally.skipped(), 3);
     }
 
     #[test]
     fn a_test_that_failed_is_named_with_its_program() {
-        let mut tally = Tally::default();
+        let mut tally = TestResults::default();
         for line in ["test a ... FAILED", "test result: FAILED. 0 passed; 1 failed; 0 ignored"] {
-            tally.record_line("x", line, Duration::ZERO);
+            tally.count_result_line("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.failures), (1, vec!["x: a".to_owned()]));
     }
 
     #[test]
     fn a_test_that_is_ignored_for_no_known_reason_fails() {
-        let mut tally = Tally::default();
+        let mut tally = TestResults::default();
         for line in ["test a ... ignored", "test b ... ignored, takes a while"] {
-            tally.record_line("x", line, Duration::ZERO);
+            tally.count_result_line("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.skipped()), (2, 0));
     }

@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
 use trueup_emulator::{process, setup};
 
-use crate::{cargo, tally::Tally};
+use crate::{cargo, tally::TestResults};
 
 /// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
 const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
@@ -48,7 +48,7 @@ pub struct TestProgram {
 
 /// Builds all of them.
 pub(crate) fn build_test_programs() -> Result<Vec<TestProgram>> {
-    let mut command = cargo::locked_command("test");
+    let mut command = cargo::locked_cargo_command("test");
     command.args(["--no-run", "--lib", "--bins", "--tests"]).args(CARGO_FEATURE_ARGUMENTS);
     command.args(["--message-format", "json-render-diagnostics"]);
     let output = command.stdin(Stdio::null()).stderr(Stdio::inherit()).output()?;
@@ -75,10 +75,10 @@ pub(crate) fn build_test_programs() -> Result<Vec<TestProgram>> {
 /// Builds the tool as tests do that start it: all of it is there already, or a crate of others has other features
 /// there.
 fn build_host_tool() -> Result<()> {
-    let mut command = cargo::locked_command("build");
+    let mut command = cargo::locked_cargo_command("build");
     command.args(["--bin", "trueup", "--message-format", "json"]).args(CARGO_FEATURE_ARGUMENTS);
     let messages = process::capture_stdout(&mut command)?;
-    let again = compiled_crates(&messages);
+    let again = parse_compiled_crates(&messages);
     ensure!(
         again.is_empty(),
         "compiled twice, for the tests and for the tool: {}; a dev-dependency chooses other features than `cargo build`. \
@@ -89,7 +89,7 @@ fn build_host_tool() -> Result<()> {
 }
 
 /// Returns the names of what cargo compiled, by its messages.
-fn compiled_crates(messages: &str) -> Vec<String> {
+fn parse_compiled_crates(messages: &str) -> Vec<String> {
     let name = |line: &str| {
         let message: Value = serde_json::from_str(line).ok()?;
         (message["fresh"].as_bool() == Some(false))
@@ -102,8 +102,8 @@ fn compiled_crates(messages: &str) -> Vec<String> {
 ///
 /// # Errors
 /// cargo cannot be started.
-pub(crate) fn run_doc_tests() -> Result<Tally> {
-    let mut command = cargo::locked_command("test");
+pub(crate) fn run_doc_tests() -> Result<TestResults> {
+    let mut command = cargo::locked_cargo_command("test");
     command.arg("--doc").args(CARGO_FEATURE_ARGUMENTS);
     run_test_command("documentation", &mut command)
 }
@@ -116,9 +116,9 @@ pub fn run(
     programs: &[TestProgram],
     arguments: &[&str],
     variables: &[(&str, &str)],
-) -> Result<Tally> {
+) -> Result<TestResults> {
     let open = Mutex::new(programs.iter().collect::<Vec<_>>());
-    let total = Mutex::new(Tally::default());
+    let total = Mutex::new(TestResults::default());
     std::thread::scope(|scope| {
         let (open, total) = (&open, &total);
         let work = move |worker: usize| -> Result<()> {
@@ -152,7 +152,7 @@ fn run_test_program(
     program: &TestProgram,
     arguments: &[&str],
     variables: &[(&str, &str)],
-) -> Result<Tally> {
+) -> Result<TestResults> {
     let mut command = Command::new(&program.executable);
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
@@ -164,9 +164,9 @@ fn run_test_program(
 ///
 /// # Errors
 /// It cannot be started, or what it says cannot be kept.
-pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tally> {
+pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<TestResults> {
     let started = Instant::now();
-    let (tally, output_text) = run_and_tally(name, command)?;
+    let (tally, output_text) = run_and_tally_command(name, command)?;
     let folder = setup::project_root().join("target/verify");
     fs::create_dir_all(&folder)?;
     let file = folder.join(format!("{}.txt", name.replace('/', "-")));
@@ -197,11 +197,11 @@ fn failure_output(text: &str) -> String {
     lines[lines.len().saturating_sub(MAX_TAIL_LINES)..].join("\n")
 }
 
-fn run_and_tally(name: &str, command: &mut Command) -> Result<(Tally, String)> {
+fn run_and_tally_command(name: &str, command: &mut Command) -> Result<(TestResults, String)> {
     command.stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("cannot start {name}"))?;
     let output = child.stdout.take().context("the output was asked for")?;
-    let mut tally = Tally::default();
+    let mut tally = TestResults::default();
     let mut text = String::new();
     let mut last = Instant::now();
     for line in BufReader::new(output).split(b'\n') {
@@ -209,7 +209,7 @@ fn run_and_tally(name: &str, command: &mut Command) -> Result<(Tally, String)> {
         let line = String::from_utf8_lossy(&line);
         text.push_str(&line);
         text.push('\n');
-        if tally.record_line(name, &line, last.elapsed()) {
+        if tally.count_result_line(name, &line, last.elapsed()) {
             last = Instant::now();
         }
     }
@@ -231,7 +231,7 @@ mod tests {
     fn a_program_that_dies_has_failed_whatever_it_printed() -> Result<()> {
         let mut command = Command::new("sh");
         command.args(["-c", "echo 'test a ... ok'; exit 101"]);
-        let (tally, output_text) = run_and_tally("x", &mut command)?;
+        let (tally, output_text) = run_and_tally_command("x", &mut command)?;
         assert_eq!((tally.failed, tally.times.len()), (1, 1));
         assert_eq!(tally.failures, ["x ended before its tests had"]);
         assert!(failure_output(&output_text).contains("ended before"), "{output_text}");
@@ -259,7 +259,7 @@ mod tests {
         let messages = "{\"reason\":\"compiler-artifact\",\"fresh\":true,\"target\":{\"name\":\"a\"}}\n\
                         {\"reason\":\"compiler-artifact\",\"fresh\":false,\"target\":{\"name\":\"b\"}}\n\
                         {\"reason\":\"build-finished\",\"success\":true}\n";
-        assert_eq!(compiled_crates(messages), ["b"]);
+        assert_eq!(parse_compiled_crates(messages), ["b"]);
     }
 
     #[test]

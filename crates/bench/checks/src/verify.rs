@@ -16,22 +16,22 @@ use std::{
 use anyhow::{Result, bail};
 use trueup_emulator::{
     chip,
-    firmware::{self, Board},
+    firmware_images::{self, Board},
     linuxcnc::{self, CompensationRoute},
-    process,
+    memory_usage, process,
     setup::{self, TOOLCHAIN_ENV_VAR},
-    size, slots,
+    slot_images,
 };
 
 use crate::{
     api_docs, cargo, structure, supply_chain,
-    tally::Tally,
+    tally::TestResults,
     test_run::{self, TestProgram},
 };
 
 /// The tier to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tier {
+pub enum TestTier {
     /// All tests that take at most ten seconds each: `cargo verify`.
     Quick,
     /// The tests that the quick tier leaves out: `--long`.
@@ -50,19 +50,19 @@ const MAX_REPORTED_TIMES: usize = 10;
 /// The steps that were run so far, and their results.
 #[derive(Default)]
 struct Verification {
-    total: Tally,
+    total: TestResults,
     failed: Vec<String>,
     steps: Vec<(String, Duration)>,
 }
 
 impl Verification {
-    fn run_step(&mut self, name: &'static str, work: impl FnOnce() -> Result<Tally>) {
+    fn run_step(&mut self, name: &'static str, work: impl FnOnce() -> Result<TestResults>) {
         trueup_output::write_diagnostic(format_args!("\n=== {name}"));
         let started = Instant::now();
         let tally = work().unwrap_or_else(|error| {
             trueup_output::write_diagnostic(format_args!("error: {error:#}"));
             self.failed.push(format!("{name}: {error:#}"));
-            Tally::with_one_failure()
+            TestResults::with_one_failure()
         });
         self.failed.extend(tally.failures.iter().map(|failure| format!("{name}: {failure}")));
         self.total.merge(tally);
@@ -74,26 +74,26 @@ impl Verification {
 ///
 /// # Errors
 /// Something failed; what it was stands in the output above.
-pub fn run(tier: Tier) -> Result<()> {
+pub fn run(tier: TestTier) -> Result<()> {
     let started = Instant::now();
     let mut checks = Verification::default();
     let mut programs = Vec::new();
     checks.run_step("compiler", supply_chain::check_compiler_version);
-    if tier != Tier::Long {
+    if tier != TestTier::Long {
         run_quick_checks(&mut checks);
     }
     checks.run_step("build of the tests", || {
         programs = test_run::build_test_programs()?;
-        Ok(Tally::with_passed(1))
+        Ok(TestResults::with_passed(1))
     });
-    if tier != Tier::Long {
+    if tier != TestTier::Long {
         checks.run_step("tests", || test_run::run(&programs, &[], &[]));
         checks.run_step("examples in the documentation", test_run::run_doc_tests);
     }
-    if tier != Tier::Quick {
+    if tier != TestTier::Quick {
         run_long_checks(&mut checks, &programs);
     }
-    if tier == Tier::All {
+    if tier == TestTier::All {
         // They have run, in the second place.
         checks.total.long = 0;
     }
@@ -105,13 +105,14 @@ pub fn run(tier: Tier) -> Result<()> {
 }
 
 fn run_quick_checks(checks: &mut Verification) {
-    checks
-        .run_step("set-up", || setup::install_quick_test_dependencies().map(|()| Tally::default()));
+    checks.run_step("set-up", || {
+        setup::install_quick_test_dependencies().map(|()| TestResults::default())
+    });
     checks.run_step("structure", || {
         trueup_output::write_line_best_effort(
             structure::check_structure(&setup::project_root())?.trim_end(),
         );
-        Ok(Tally::with_passed(1))
+        Ok(TestResults::with_passed(1))
     });
     checks.run_step("spelling", check_spelling);
     checks.run_step("format", || {
@@ -119,17 +120,17 @@ fn run_quick_checks(checks: &mut Verification) {
     });
     checks.run_step("clippy, host", || {
         let every = ["--all-targets", "--all-features", "--", "-D", "warnings"];
-        run_check_command(cargo::locked_command("clippy").args(every))
+        run_check_command(cargo::locked_cargo_command("clippy").args(every))
     });
     checks.run_step("clippy, boards, boot program and benchmark", || {
-        let mut tally = Tally::default();
+        let mut tally = TestResults::default();
         for board in Board::ALL {
-            let (mut clippy, _) = firmware::board_cargo_command("clippy", board)?;
+            let (mut clippy, _) = firmware_images::board_cargo_command("clippy", board)?;
             tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
         }
-        let (mut clippy, _) = firmware::benchmark_cargo_command("clippy")?;
+        let (mut clippy, _) = firmware_images::benchmark_cargo_command("clippy")?;
         tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
-        for mut clippy in slots::cargo_commands("clippy")? {
+        for mut clippy in slot_images::cargo_commands("clippy")? {
             tally.merge(run_check_command(clippy.args(["--", "-D", "warnings"]))?);
         }
         Ok(tally)
@@ -137,7 +138,7 @@ fn run_quick_checks(checks: &mut Verification) {
     checks.run_step("model of the chip", || {
         if !chip::is_compiler_supported()? {
             let (major, minor) = chip::MIN_COMPILER_VERSION;
-            return Ok(Tally::report_unavailable(&format!(
+            return Ok(TestResults::report_unavailable(&format!(
                 "the model of the chip: it needs Rust {major}.{minor}"
             )));
         }
@@ -152,22 +153,24 @@ fn run_quick_checks(checks: &mut Verification) {
         test_run::run_test_command("chip", chip::model_cargo_command("test").arg("--locked"))
     });
     checks.run_step("images", || {
-        trueup_output::write_line_best_effort(size::build_size_report()?.trim_end());
-        Ok(Tally::with_passed(2))
+        trueup_output::write_line_best_effort(memory_usage::build_size_report()?.trim_end());
+        Ok(TestResults::with_passed(2))
     });
 }
 
 fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
     checks.run_step("set-up for the long tests", || {
-        setup::install_all_dependencies().map(|()| Tally::default())
+        setup::install_all_dependencies().map(|()| TestResults::default())
     });
     checks.run_step("long tests", || {
         test_run::run(programs, &["--ignored", "--skip", "campaign_"], &[])
     });
-    checks.run_step("documentation", || api_docs::build_api_docs().map(|_| Tally::with_passed(1)));
+    checks.run_step("documentation", || {
+        api_docs::build_api_docs().map(|_| TestResults::with_passed(1))
+    });
     checks.run_step("the board by the distribution's compiler", || {
         if process::find_on_path("apt-get").is_none() {
-            return Ok(Tally::report_unavailable("this distribution has no such compiler"));
+            return Ok(TestResults::report_unavailable("this distribution has no such compiler"));
         }
         let board: Vec<_> = programs
             .iter()
@@ -178,22 +181,22 @@ fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
     });
     checks.run_step("LinuxCNC in the loop", || {
         // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
-        let mut looped = linuxcnc::run_and_write_report(CompensationRoute::default());
+        let mut looped = linuxcnc::run_loop_and_write_report(CompensationRoute::default());
         for _ in 1..MAX_LINUXCNC_RUNS {
             let Err(error) = &looped else { break };
             trueup_output::write_diagnostic(format_args!("error: {error:#}; trying again"));
-            looped = linuxcnc::run_and_write_report(CompensationRoute::default());
+            looped = linuxcnc::run_loop_and_write_report(CompensationRoute::default());
         }
         Ok(match looped? {
-            Some(passed) => Tally::with_passed(passed),
-            None => Tally::report_unavailable("this distribution has no package of LinuxCNC"),
+            Some(passed) => TestResults::with_passed(passed),
+            None => TestResults::report_unavailable("this distribution has no package of LinuxCNC"),
         })
     });
     checks.run_step("crates of others", supply_chain::check_dependencies);
 }
 
 /// Checks the spelling of all files, and the words that `_typos.toml` replaces.
-fn check_spelling() -> Result<Tally> {
+fn check_spelling() -> Result<TestResults> {
     run_check_command(typos_command()?.arg("."))
 }
 
@@ -204,12 +207,12 @@ fn typos_command() -> Result<Command> {
 }
 
 /// Runs a command that passes or fails as a whole.
-fn run_check_command(command: &mut Command) -> Result<Tally> {
+fn run_check_command(command: &mut Command) -> Result<TestResults> {
     process::run(command)?;
-    Ok(Tally::with_passed(1))
+    Ok(TestResults::with_passed(1))
 }
 
-fn print_report(checks: &Verification, tier: Tier, took: Duration) {
+fn print_report(checks: &Verification, tier: TestTier, took: Duration) {
     let total = &checks.total;
     let mut times = [checks.steps.clone(), total.times.clone()].concat();
     times.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
@@ -219,7 +222,7 @@ fn print_report(checks: &Verification, tier: Tier, took: Duration) {
     for (name, time) in times.iter().take(MAX_REPORTED_TIMES) {
         trueup_output::write_line_best_effort(format_args!("{:7.1} s  {name}", time.as_secs_f64()));
     }
-    if tier == Tier::Quick {
+    if tier == TestTier::Quick {
         for (name, time) in total.times.iter().filter(|(_, time)| *time > MAX_QUICK_TEST_DURATION) {
             trueup_output::write_line_best_effort(format_args!(
                 "{:7.1} s  {name}: on a quiet computer this would be a long test",
@@ -255,7 +258,7 @@ pub fn run_scorecard(seeds: u32) -> Result<()> {
     let seeds = seeds.to_string();
     let draws = ["--seeds", &seeds, "--few", &seeds, "--out"];
     process::run(
-        cargo::locked_command("run").args(example).args(draws).arg(docs.join("scorecard.md")),
+        cargo::locked_cargo_command("run").args(example).args(draws).arg(docs.join("scorecard.md")),
     )
 }
 

@@ -1,17 +1,17 @@
 //! A board that runs: the chip and its processor in step, instruction by instruction.
 
-use crate::accelerator::FlashAccelerator;
 use crate::chip::rcc::registers::{RCC_CSR_PINRSTF, RCC_CSR_SFTRSTF};
 use crate::chip::{Chip, InjectedFaults, SharedState};
 use crate::chip::{FLAG_NEW_FINDING, FLAG_PROGRAMMING_CHANGED, FLAG_RESET_REQUEST};
 use crate::elf;
+use crate::flash_accelerator::FlashAccelerator;
 use crate::handler_timing::HandlerTimer;
 use crate::memory_map::{FLASH_BASE, FLASH_END, SRAM_BASE, SRAM_END, SYSTEM_MEMORY_BASE};
 use crate::processor::{
     FLASH_SIZE, Memories, Memory, PENDABLE_EXCEPTIONS, Peripherals, Processor, SRAM_SIZE,
 };
 use crate::report::Severity;
-use crate::time::ms_to_ticks;
+use crate::simulation_time::ms_to_ticks;
 use crate::world::World;
 use std::collections::BTreeMap;
 use std::sync::{
@@ -242,7 +242,7 @@ impl Board {
                 self.apply_flash_wait_states(offset);
             }
             if self.watch.masked {
-                self.track_masked_time();
+                self.track_interrupt_delays();
             }
             self.stall_for_flash();
             if self.watch.masked {
@@ -289,7 +289,7 @@ impl Board {
         });
     }
 
-    fn track_masked_time(&mut self) {
+    fn track_interrupt_delays(&mut self) {
         let pended = self.processor.pending_exceptions().into_iter().zip(&mut self.pended_since);
         for ((is, since), longest) in pended.zip(&mut self.pended_longest) {
             match (is, *since) {
@@ -371,7 +371,7 @@ impl Board {
         self.checked += 1;
         if self.checked == FAULT_CHECK_INTERVAL_STEPS || flag & FLAG_RESET_REQUEST != 0 {
             self.checked = 0;
-            self.poll_processor(flag & FLAG_RESET_REQUEST != 0);
+            self.handle_processor_events(flag & FLAG_RESET_REQUEST != 0);
         }
         if self.watch.log && self.now >= self.log_next {
             self.log_next = self.now + ms_to_ticks(1);
@@ -381,7 +381,7 @@ impl Board {
         }
     }
 
-    fn poll_processor(&mut self, reset: bool) {
+    fn handle_processor_events(&mut self, reset: bool) {
         let pc = self.processor.pc();
         if self.watch.places {
             *self.places.entry(pc).or_default() += 1;

@@ -10,7 +10,7 @@ const CRC15_POLYNOMIAL: u32 = 0x4599;
 /// CRC-16/CCITT-FALSE: the start value.
 const E2E_CRC_INITIAL_VALUE: u16 = 0xffff;
 /// CRC-16/CCITT-FALSE: the highest bit.
-const E2E_CRC_TOP_BIT: u16 = 0x8000;
+const E2E_CRC_TOP_BIT_MASK: u16 = 0x8000;
 /// CRC-16/CCITT-FALSE: the generator polynomial.
 const E2E_CRC_POLYNOMIAL: u16 = 0x1021;
 
@@ -102,7 +102,11 @@ pub fn compute_e2e_crc(id: u32, data: &[u8]) -> u16 {
     for b in data[2..].iter().copied().chain([id as u8, (id >> 8) as u8]) {
         crc ^= u16::from(b) << 8;
         for _ in 0..8 {
-            crc = if crc & E2E_CRC_TOP_BIT != 0 { crc << 1 ^ E2E_CRC_POLYNOMIAL } else { crc << 1 };
+            crc = if crc & E2E_CRC_TOP_BIT_MASK != 0 {
+                crc << 1 ^ E2E_CRC_POLYNOMIAL
+            } else {
+                crc << 1
+            };
         }
     }
     crc

@@ -8,19 +8,19 @@
 //!                 └──► summary (what the program prints)
 //! ```
 
-pub mod accelerator;
 pub mod board;
+mod can_ids;
 pub mod chip;
 pub mod elf;
+pub mod flash_accelerator;
 pub mod frame;
 pub mod handler_timing;
-mod link;
 pub mod max31865;
 mod memory_map;
 pub mod processor;
 pub mod report;
 pub mod script;
+pub mod serial_line;
+pub mod simulation_time;
 pub mod summary;
-pub mod time;
-pub mod wire;
 pub mod world;

@@ -18,9 +18,9 @@ use trueup_chip::{
     elf::SymbolTable,
     processor::{FLASH_SIZE, Memories, PENDABLE_EXCEPTIONS},
     report::Severity,
-    script::Script,
+    script::StimulusScript,
+    simulation_time::{ms_to_ticks, ticks_to_micros, ticks_to_seconds},
     summary,
-    time::{ms_to_ticks, ticks_to_micros, ticks_to_seconds},
     world::World,
 };
 
@@ -104,7 +104,7 @@ fn build_board(options: &CommandLineOptions, image: &[u8]) -> Board {
     let mut world = World::new(options.plan.clone());
     let script = options.script.as_ref().map(|file| fs::read_to_string(file).expect("a script"));
     if let Some(text) = script.or(options.live.then(String::new)) {
-        world.script = Some(Script::from_text(&text));
+        world.script = Some(StimulusScript::from_text(&text));
         world.rtds.iter_mut().for_each(|rtd| rtd.celsius = Some(20.0));
     }
     world.lsi_hz = options.lsi;

@@ -3,7 +3,7 @@
 
 mod registers;
 
-use crate::time::{NEVER, ms_to_ticks};
+use crate::simulation_time::{NEVER, ms_to_ticks};
 use registers::*;
 
 /// A converter for one platinum thermometer.

@@ -4,8 +4,8 @@ use std::process::exit;
 use trueup_chip::{
     chip::InjectedFaults,
     frame::CanFrame,
-    time::{NEVER, ms_to_ticks},
-    wire::Parity,
+    serial_line::Parity,
+    simulation_time::{NEVER, ms_to_ticks},
     world::{NOMINAL_SUPPLY_V, StimulusPlan},
 };
 

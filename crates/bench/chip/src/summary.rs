@@ -1,12 +1,12 @@
 //! The summary that the program prints of a run: what the units did, and what was on the wires.
 
 use crate::{
+    can_ids::*,
     chip::Chip,
     frame::{CanFrame, compute_e2e_crc},
-    link::*,
     report::Severity,
-    time::ticks_to_seconds,
-    wire::SerialLine,
+    serial_line::SerialLine,
+    simulation_time::ticks_to_seconds,
 };
 use std::collections::BTreeMap;
 
@@ -76,7 +76,7 @@ fn sign_extend(v: u64, bits: u32) -> i64 {
 
 /// Prints the summary; `quiet`: without the bytes of the serial line.
 pub fn print_summary(c: &Chip, quiet: bool) {
-    print_unit_statistics(c);
+    print_peripheral_statistics(c);
     let mut by: FramesById<'_> = BTreeMap::new();
     for (t, f) in &c.world.log {
         by.entry(f.id).or_default().push((*t, f));
@@ -108,7 +108,7 @@ pub fn print_summary(c: &Chip, quiet: bool) {
 type FramesById<'f> = BTreeMap<u32, Vec<(u64, &'f CanFrame)>>;
 
 /// Prints the figures of each unit.
-fn print_unit_statistics(c: &Chip) {
+fn print_peripheral_statistics(c: &Chip) {
     let lamp = c.world.lamp.len();
     let adc = &c.adc.unit[0];
     println!(

@@ -3,9 +3,9 @@
 use crate::{
     frame::{CanFrame, build_protected_frame},
     max31865::RtdConverter,
-    script::{RANDOM_SEED, Script},
-    time::{NEVER, ms_to_ticks},
-    wire::{Parity, SerialLine},
+    script::{RANDOM_SEED, StimulusScript},
+    serial_line::{Parity, SerialLine},
+    simulation_time::{NEVER, ms_to_ticks},
 };
 use std::collections::VecDeque;
 
@@ -92,7 +92,7 @@ pub struct World {
     /// Frames that the board has sent, with the time of their end.
     pub log: Vec<(u64, CanFrame)>,
     /// The script, if there is one.
-    pub script: Option<Script>,
+    pub script: Option<StimulusScript>,
     pub(crate) counters: [u8; 5],
     pub(crate) rng: u64,
     slow_rng: u64,

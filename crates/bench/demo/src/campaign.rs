@@ -7,8 +7,8 @@ use anyhow::Result;
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 
 use crate::{
-    act_two::{HiddenFaultOutcome, run_hidden_fault_demo},
-    boards::BoardSource,
+    hidden_fault_demo::{HiddenFaultOutcome, run_hidden_fault_demo},
+    stepped_board::BoardSource,
 };
 
 /// The reduction at the tool may be so far from what was promised.
@@ -47,8 +47,10 @@ impl CampaignStatistics {
             .map(|outcome| outcome.findings.iter().filter(|finding| finding.claimed).count())
             .sum();
         let wrong: usize = self.outcomes.iter().map(|outcome| outcome.wrong.len()).sum();
-        let (right, kept) =
-            (count(&|outcome| outcome.all_right), count(&HiddenFaultOutcome::is_within_tolerance));
+        let (right, kept) = (
+            count(&|outcome| outcome.all_right),
+            count(&HiddenFaultOutcome::is_reduction_within_tolerance),
+        );
         let harm = count(&|outcome| outcome.tool_rms_after_um > 1.05 * outcome.tool_rms_before_um);
         format!(
             "{machines} machines: all right in {right} ({:.1} %); {wrong} wrong names of {claimed} claimed \
@@ -64,7 +66,7 @@ impl CampaignStatistics {
 impl HiddenFaultOutcome {
     /// Returns whether the tool has got what was promised.
     #[must_use]
-    pub fn is_within_tolerance(&self) -> bool {
+    pub fn is_reduction_within_tolerance(&self) -> bool {
         (self.reduction - self.promised_reduction).abs() <= REDUCTION_TOLERANCE
     }
 
@@ -94,7 +96,7 @@ impl HiddenFaultOutcome {
         if !self.wrong.is_empty() {
             let _ = write!(line, ", WRONG {}", self.wrong.join(", "));
         }
-        if !self.is_within_tolerance() {
+        if !self.is_reduction_within_tolerance() {
             line.push_str(", not as promised");
         }
         line

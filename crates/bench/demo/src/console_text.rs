@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use trueup_diagnose::{Diagnosis, report::Finding};
 
 use crate::{
-    act_one::MeasuredRunResult,
-    act_two::{HiddenFaultOutcome, HiddenFaultResult},
+    hidden_fault_demo::{HiddenFaultOutcome, HiddenFaultResult},
+    measured_run_demo::MeasuredRunResult,
 };
 
 /// A table of more readings is left to the page.

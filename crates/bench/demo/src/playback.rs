@@ -7,23 +7,23 @@ use anyhow::{Context as _, Result, bail};
 use trueup_core::{
     cnc::{Control, OffsetQuality, Output, SpindleState},
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::Rpm,
 };
 use trueup_emulator::{
+    analogue_front_end::AnalogueFrontEnd,
     board::MAX_BATCH_BLOCKS,
     cnc_emulator::{CncEmulator, ReceivedFrames},
-    front_end::FrontEnd,
-    replay::{MachineSnapshot, Replay},
+    replay::{MachineSnapshot, RunReplay},
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
     Machine, RunFile,
-    file::{Quantity, is_temperature_column},
+    machine_file::{Quantity, is_temperature_column},
 };
 use trueup_pipe::Block;
 
-use crate::boards::SteppedBoard;
+use crate::stepped_board::SteppedBoard;
 
 /// How long a row of a run without time is held: filter and slew have come to rest by then.
 pub(crate) const STATIC_ROW_HOLD_S: f64 = 0.5;
@@ -122,7 +122,7 @@ pub fn play(
     progress: &mut dyn FnMut(f64),
 ) -> Result<PlaybackRecord> {
     // A second for each row: only the order matters here.
-    let replay = Replay::new(&without_timestamps(run)?, machine, 1.0)?;
+    let replay = RunReplay::new(&without_timestamps(run)?, machine, 1.0)?;
     let mut cnc = CncPlayer::new(machine, pace);
     let loads = run.column("load_n");
     let load_n = |row: usize| {
@@ -161,7 +161,7 @@ pub fn play(
     let counters = cnc.offsets.counters();
     played.frames = counters.accepted;
     played.errors = counters.crc_errors + counters.sequence_errors + counters.lost;
-    played.errors += cnc.offsets.unpaired_count();
+    played.errors += cnc.offsets.unpaired_frame_count();
     played.board_s = f64::from(cnc.ms) / 1000.0;
     Ok(played)
 }
@@ -178,7 +178,7 @@ fn without_timestamps(run: &RunFile) -> Result<RunFile> {
 
 /// The CNC's part, and the front end's.
 struct CncPlayer {
-    front_end: FrontEnd,
+    front_end: AnalogueFrontEnd,
     stand_in: CncEmulator,
     heard: ReceivedFrames,
     offsets: OffsetReceiver,
@@ -198,7 +198,7 @@ impl CncPlayer {
             input.volts_full_scale / (input.counts_full_scale * model.um_per_count.abs())
         });
         Self {
-            front_end: FrontEnd::new(input.map_or(0.0, |input| input.divider), pace.seed),
+            front_end: AnalogueFrontEnd::new(input.map_or(0.0, |input| input.divider), pace.seed),
             stand_in: CncEmulator::default(),
             heard: ReceivedFrames::default(),
             offsets: OffsetReceiver::new(),
@@ -312,8 +312,10 @@ fn interpolate_temperatures(
 ) -> RawTemperatures {
     let share = share.min(1.0);
     std::array::from_fn(|channel| {
-        let (RawReading(from), RawReading(to)) = (from[channel], to[channel]);
-        RawReading((f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32)
+        let (RawTemperatureReading(from), RawTemperatureReading(to)) = (from[channel], to[channel]);
+        RawTemperatureReading(
+            (f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32
+        )
     })
 }
 

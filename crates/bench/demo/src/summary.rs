@@ -4,8 +4,8 @@ use serde::Serialize;
 use trueup_diagnose::report::Finding;
 
 use crate::{
-    act_one::{MeasuredRunResult, ReadingResult, ResidualStatistics},
-    act_two::HiddenFaultOutcome,
+    hidden_fault_demo::HiddenFaultOutcome,
+    measured_run_demo::{MeasuredRunResult, ReadingResult, ResidualStatistics},
 };
 
 /// The figures.

@@ -8,15 +8,15 @@ use std::path::Path;
 
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_campaigns::{
-    physical::{MachineKind, Plant},
+    physical_faults::{MachineKind, Plant},
     run_table::{parse_run, with_columns},
 };
 use trueup_demo::{
-    bench,
-    boards::BoardSource,
+    bench_machine,
     playback::{PlaybackTiming, check_offsets, play},
+    stepped_board::BoardSource,
 };
-use trueup_machine::{MachineFile, RunFile, compile, file::Quantity};
+use trueup_machine::{MachineFile, RunFile, compile, machine_file::Quantity};
 use trueup_twin::{Scenario, simulate};
 
 const MEASURED: &str = "measured_elongation_um";
@@ -55,8 +55,8 @@ fn recorded(scenario: &Scenario, seed: u64) -> RunFile {
 
 /// Returns what the gauge shows when the bridge runs with the file `source`.
 fn with_bridge(source: &str, run: &RunFile) -> RunFile {
-    let (source, _) = bench::connect_inputs(source, run).expect("a machine file");
-    let machine = bench::build_bench_machine(&source, FASTER).expect("a machine file");
+    let (source, _) = bench_machine::connect_inputs(source, run).expect("a machine file");
+    let machine = bench_machine::build_bench_machine(&source, FASTER).expect("a machine file");
     let pace = PlaybackTiming::from_timestamps(run, FASTER).expect("it has a time");
     let played = BoardSource::InProcess
         .run(&compile(&machine).expect("it fits the board"), |bridge| {

@@ -1,9 +1,10 @@
 //! Act two on the board's application in this process: what is hidden is found, and the tool gets what was
 //! promised. Many seeds are a campaign of its own.
 
-use trueup_campaigns::{faulty_machine::SeparableFaultMachine, physical::PhysicalFault};
+use trueup_campaigns::{faulty_machine::SeparableFaultMachine, physical_faults::PhysicalFault};
 use trueup_demo::{
-    act_two::run_hidden_fault_demo, boards::BoardSource, campaign::CampaignStatistics,
+    campaign::CampaignStatistics, hidden_fault_demo::run_hidden_fault_demo,
+    stepped_board::BoardSource,
 };
 
 #[test]

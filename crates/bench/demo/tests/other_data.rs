@@ -6,9 +6,9 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_campaigns::run_table::parse_run;
 use trueup_demo::{
-    act_one::{MeasuredRunInput, MeasuredRunResult, run_measured_run_demo},
-    boards::BoardSource,
-    page,
+    html_report,
+    measured_run_demo::{MeasuredRunInput, MeasuredRunResult, run_measured_run_demo},
+    stepped_board::BoardSource,
 };
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");
@@ -52,7 +52,7 @@ fn a_gain_is_called_a_gain() {
     assert!(text.contains("1.1") && text.contains("for each micrometre"), "{text}");
     assert!(one.after.rms_um < 0.3 && one.before.rms_um > 2.0, "{:?} {:?}", one.before, one.after);
     assert!(!text.contains("27648"), "another full scale is not this gain: {text}");
-    assert!(page::render_page(&one, None).contains("sensor-gain"));
+    assert!(html_report::render_page(&one, None).contains("sensor-gain"));
 }
 
 #[test]

@@ -13,14 +13,15 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use rand::{Rng as _, SeedableRng as _};
 use serde_json::{Value, json};
-use trueup_core::curve::SEGMENT_SIZE;
+use trueup_core::curve::CURVE_SEGMENT_SIZE;
 use trueup_machine::{MachineFile, compile, compile::CompiledCalibration};
 use trueup_node::test_vectors;
 
 use crate::{
-    firmware::{self, Board},
-    qemu::Qemu,
-    setup, size,
+    firmware_images::{self, Board},
+    memory_usage,
+    qemu::QemuProcess,
+    setup,
 };
 
 /// Vectors over which board and host are compared.
@@ -66,20 +67,20 @@ pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
     let by_tool = compile(&MachineFile::parse(&by_tool, Path::new("by_tool.toml"))?)?;
     let curves = MachineFile::parse(&build_curve_machine_toml(), Path::new("curves.toml"))?;
     let curves = compile(&curves)?;
-    let image = firmware::build_benchmark_image()?;
+    let image = firmware_images::build_benchmark_image()?;
     let blobs = [machine.blob(), by_tool.blob(), curves.blob()];
-    let numbers = run_on_board(&image, blobs, vectors)?;
+    let numbers = run_in_qemu(&image, blobs, vectors)?;
     let is_same = |name: &str, compiled: &CompiledCalibration| -> Result<bool> {
         Ok(table_value(&numbers, name, 0)?
             == test_vectors::compute_checksum(compiled.calibration(), vectors))
     };
     let identical = is_same("checksum", &machine)? && is_same("checksum_by_tool", &by_tool)?;
-    let size = size::measure_memory_usage(&firmware::build(Board::Stm32f405)?)?;
+    let size = memory_usage::measure_memory_usage(&firmware_images::build(Board::Stm32f405)?)?;
 
     let (mut segments, mut bytes) = (0, 0);
     for curve in machine.calibration().straightness {
         segments += curve.segments().len();
-        bytes += curve.segments().len() * SEGMENT_SIZE + curve.index().len() * 2;
+        bytes += curve.segments().len() * CURVE_SEGMENT_SIZE + curve.index().len() * 2;
     }
     let at = |name: &str, place| table_value(&numbers, name, place);
     let spread = |name: &str| {
@@ -152,10 +153,10 @@ pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
 }
 
 /// Runs the image to its end and gives what it has written.
-fn run_on_board(image: &Path, blobs: [&[u8]; 3], vectors: u32) -> Result<BenchmarkTable> {
+fn run_in_qemu(image: &Path, blobs: [&[u8]; 3], vectors: u32) -> Result<BenchmarkTable> {
     setup::ensure_qemu()?;
     let arguments = ["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"];
-    let mut qemu = Qemu::start(image, &arguments, |folder| {
+    let mut qemu = QemuProcess::start(image, &arguments, |folder| {
         for (name, blob) in ["calibration.bin", "by_tool.bin", "curves.bin"].iter().zip(blobs) {
             fs::write(folder.join(name), blob)?;
         }

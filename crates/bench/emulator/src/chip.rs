@@ -47,7 +47,7 @@ pub fn is_compiler_supported() -> Result<bool> {
 ///
 /// # Errors
 /// It does not compile.
-pub fn build() -> Result<Option<PathBuf>> {
+pub fn build_model() -> Result<Option<PathBuf>> {
     if !is_compiler_supported()? {
         return Ok(None);
     }
@@ -60,7 +60,7 @@ pub fn build() -> Result<Option<PathBuf>> {
 
 /// The result of a run of the model.
 #[derive(Clone, Debug)]
-pub struct RunReport {
+pub struct ModelRunReport {
     /// Whether nothing was done that silicon would not do.
     pub clean: bool,
     /// The model's standard output: the traffic on the wires, and its report.
@@ -76,7 +76,7 @@ pub struct RunReport {
 ///
 /// # Errors
 /// The model cannot be started, or refuses an option.
-pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<RunReport> {
+pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<ModelRunReport> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let raw = folder.path().join("log");
     let mut report = run_with_log(model, image, options, Some(&raw))?;
@@ -92,7 +92,7 @@ pub fn run_without_log<S: AsRef<OsStr>>(
     model: &Path,
     image: &Path,
     options: &[S],
-) -> Result<RunReport> {
+) -> Result<ModelRunReport> {
     run_with_log(model, image, options, None)
 }
 
@@ -102,7 +102,7 @@ fn run_with_log<S: AsRef<OsStr>>(
     image: &Path,
     options: &[S],
     log: Option<&Path>,
-) -> Result<RunReport> {
+) -> Result<ModelRunReport> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let mut command = Command::new(model);
     let events = folder.path().join("events");
@@ -117,11 +117,11 @@ fn run_with_log<S: AsRef<OsStr>>(
     anyhow::ensure!(
         output.status.code().is_some_and(|code| code < 2),
         "`{}` failed: {}",
-        process::command_line(&command),
+        process::format_command_line(&command),
         complaint.trim()
     );
     let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
-    Ok(RunReport { clean: output.status.success(), stdout, log: Vec::new(), events })
+    Ok(ModelRunReport { clean: output.status.success(), stdout, log: Vec::new(), events })
 }
 
 /// Makes the pipe of the model's log in a folder. It is open both ways until the file is dropped, so that no process

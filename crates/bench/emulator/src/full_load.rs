@@ -7,8 +7,8 @@ use anyhow::Result;
 use trueup_core::cnc::Control;
 
 use crate::{
-    chip::{self, RunReport},
-    plc,
+    chip::{self, ModelRunReport},
+    plc_requests,
 };
 
 /// A clock: its name, the options of the model for it, how long to live in ms, the speed of the PLC's line, and what a byte of
@@ -33,7 +33,7 @@ pub const CLOCK_SCENARIOS: [ClockScenario; 3] = [
 pub(crate) fn build_full_load_script(clock: &ClockScenario, later_ms: u32) -> String {
     // When the board is up, so that the PLC's bytes find a receiver.
     let from_ms = if clock.0 == "16 MHz" { 720 } else { 250 };
-    let read = plc::read_request_hex();
+    let read = plc_requests::build_read_request_hex();
     let (opened_ms, from_ms) = (700 + later_ms, from_ms + later_ms);
     let mut script =
         format!("0 control 0\n0 positions 500\n150 say S8\\rO\\r\n{opened_ms} say S8\\rO\\r\n");
@@ -41,7 +41,7 @@ pub(crate) fn build_full_load_script(clock: &ClockScenario, later_ms: u32) -> St
         let zero = at > from_ms + 350;
         let control =
             if counter < 3 { Control::REFERENCED } else { Control { zero, ..Control::ENGAGED } };
-        let write = plc::write_request_hex(control, counter);
+        let write = plc_requests::build_write_request_hex(control, counter);
         script += &format!("{at} modbus {write}\n{} modbus {read}\n", at + 45);
     }
     script
@@ -51,7 +51,12 @@ pub(crate) fn build_full_load_script(clock: &ClockScenario, later_ms: u32) -> St
 ///
 /// # Errors
 /// As [`chip::run`].
-pub fn run(model: &Path, image: &Path, clock: &ClockScenario, later_ms: u32) -> Result<RunReport> {
+pub fn run(
+    model: &Path,
+    image: &Path,
+    clock: &ClockScenario,
+    later_ms: u32,
+) -> Result<ModelRunReport> {
     let (_, dead, ms, line, _) = *clock;
     let file = tempfile::NamedTempFile::new()?;
     fs::write(file.path(), build_full_load_script(clock, later_ms))?;
@@ -62,7 +67,7 @@ pub fn run(model: &Path, image: &Path, clock: &ClockScenario, later_ms: u32) -> 
 
 /// Returns the longest turn of each exception's handler in µs, of its own and from beginning to end.
 #[must_use]
-pub fn max_handler_times_us(report: &RunReport) -> BTreeMap<u32, [f64; 2]> {
+pub fn max_handler_times_us(report: &ModelRunReport) -> BTreeMap<u32, [f64; 2]> {
     let (_, rest) =
         report.stdout.split_once("turns at the longest, by exception: ").unwrap_or_default();
     let turns = rest.lines().next().unwrap_or_default().split(", ");

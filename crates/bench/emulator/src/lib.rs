@@ -11,24 +11,27 @@
 #![forbid(unsafe_code)]
 
 pub mod benchmark;
-pub mod binary;
 pub mod call_graph;
 pub mod chip;
-pub mod cnc;
-mod compile;
-pub mod firmware;
+pub mod cnc_client;
+mod firmware_build;
+pub mod firmware_images;
+pub mod flash_image;
 pub mod full_load;
 pub mod host_programs;
-pub mod images;
+pub mod image_check;
 pub mod linuxcnc;
 pub mod lockstep_chip;
-pub mod plc;
+pub mod memory_usage;
+pub mod plc_requests;
 pub mod process;
+pub mod release_images;
 pub mod rtt;
-pub mod seal;
 pub mod setup;
-pub mod size;
-pub mod slots;
+pub mod slot_images;
 mod stack_frames;
+mod stale_shared_memory;
 
-pub use trueup_virtual_bridge::{board, cnc_emulator, front_end, log, plant, qemu, replay, serve};
+pub use trueup_virtual_bridge::{
+    analogue_front_end, board, cnc_emulator, log, plant, qemu, replay, serve,
+};

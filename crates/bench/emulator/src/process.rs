@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-pub use trueup_virtual_bridge::program::{capture_stdout, command_line, find_on_path};
+pub use trueup_virtual_bridge::program::{capture_stdout, find_on_path, format_command_line};
 
 /// Returns the cargo that started this program, without what it has set for this program alone. A build script that
 /// reads such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
@@ -28,7 +28,7 @@ pub fn new_cargo_command() -> Command {
 /// # Errors
 /// It could not be started, or it failed.
 pub fn run(command: &mut Command) -> Result<()> {
-    let line = command_line(command);
+    let line = format_command_line(command);
     let status = command
         .stdin(Stdio::null())
         .stdout(trueup_output::stderr_stdio())

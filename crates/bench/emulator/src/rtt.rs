@@ -13,7 +13,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use object::{Object as _, ObjectSymbol as _};
 use serde_json::{Value, json};
 
-use crate::{log::LogDecoder, qemu::Qemu};
+use crate::{log::LogDecoder, qemu::QemuProcess};
 
 /// QEMU's arguments for a monitor that [`QemuMonitor::connect`] finds.
 pub const QEMU_MONITOR_ARGUMENTS: [&str; 2] = ["-qmp", "unix:qmp.sock,server=on,wait=off"];
@@ -31,7 +31,7 @@ impl QemuMonitor {
     ///
     /// # Errors
     /// QEMU has ended, or is not QEMU.
-    pub fn connect(qemu: &mut Qemu) -> Result<Self> {
+    pub fn connect(qemu: &mut QemuProcess) -> Result<Self> {
         let stream = qemu.connect("qmp.sock")?;
         stream.set_read_timeout(Some(Duration::from_secs(10)))?;
         let mut monitor = Self { lines: BufReader::new(stream) };
@@ -63,7 +63,7 @@ impl QemuMonitor {
     ///
     /// # Errors
     /// The image has no RTT, or more was logged than its buffer holds.
-    pub fn read_log(&mut self, qemu: &Qemu, image: &Path) -> Result<Vec<String>> {
+    pub fn read_log(&mut self, qemu: &QemuProcess, image: &Path) -> Result<Vec<String>> {
         let path = qemu.path("ram.bin");
         let arguments = json!({"val": RAM_START, "size": RAM_SIZE, "filename": path});
         self.execute(&json!({"execute": "pmemsave", "arguments": arguments}))?;

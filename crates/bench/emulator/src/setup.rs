@@ -13,9 +13,9 @@ use anyhow::{Context as _, Result, bail};
 use rustix::fs::{FlockOperation, flock};
 
 use crate::{
-    linuxcnc::stale_shared_memory,
     process,
     qemu::{self, QEMU_PROGRAM as QEMU},
+    stale_shared_memory,
 };
 
 /// The processor of the STM32F405.
@@ -98,7 +98,7 @@ fn ensure_target_installed() -> Result<()> {
     add.args(["target", "add", TARGET_TRIPLE]);
     trueup_output::write_diagnostic(format_args!(
         "the compiler lacks {TARGET_TRIPLE}; running `{}`",
-        process::command_line(&add)
+        process::format_command_line(&add)
     ));
     process::run(&mut add)?;
     if !is_target_installed() {

@@ -10,11 +10,11 @@
 //! | 6 | format, 1 |
 //! | 7 | CRC-32/AUTOSAR of words 1 to 6 |
 
-use crate::{crc, flash_layout::Slot, header::Version};
+use crate::{crc, flash_layout::Slot, image_header::FirmwareVersion};
 
 /// Bytes of an entry.
-pub(crate) const ENTRY_SIZE: usize = 32;
-const FORMAT_VERSION: u32 = 1;
+pub(crate) const JOURNAL_ENTRY_SIZE: usize = 32;
+const BOOT_STATE_FORMAT_VERSION: u32 = 1;
 /// Starts that an image on trial has to be confirmed in.
 pub const MAX_TRIAL_STARTS: u8 = 5;
 
@@ -101,7 +101,7 @@ pub struct SlotState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BootState {
     /// The oldest version that may start.
-    pub floor: Version,
+    pub floor: FirmwareVersion,
     /// Slot A, slot B.
     pub slots: [SlotState; 2],
 }
@@ -126,12 +126,13 @@ impl BootState {
     }
 
     /// Returns the entry of this state in a sector of that generation.
-    pub(crate) fn encode(&self, generation: u32) -> [u8; ENTRY_SIZE] {
+    pub(crate) fn encode(&self, generation: u32) -> [u8; JOURNAL_ENTRY_SIZE] {
         let [a, b] = self.slots;
         let [[status_a, starts_a], [status_b, starts_b]] = [a.status.encode(), b.status.encode()];
         let statuses = u32::from_le_bytes([status_a, starts_a, status_b, starts_b]);
-        let words = [0, generation, self.floor.0, a.tag, b.tag, statuses, FORMAT_VERSION, 0];
-        let mut bytes = [0; ENTRY_SIZE];
+        let words =
+            [0, generation, self.floor.0, a.tag, b.tag, statuses, BOOT_STATE_FORMAT_VERSION, 0];
+        let mut bytes = [0; JOURNAL_ENTRY_SIZE];
         let all = words.iter().flat_map(|word| word.to_le_bytes());
         bytes.iter_mut().zip(all).for_each(|(place, byte)| *place = byte);
         if let Some((content, crc)) = bytes.split_last_chunk_mut() {
@@ -141,7 +142,7 @@ impl BootState {
     }
 
     /// Returns the generation and the state of an entry; `None`: it holds none.
-    pub(crate) fn decode(bytes: &[u8; ENTRY_SIZE]) -> Option<(u32, Self)> {
+    pub(crate) fn decode(bytes: &[u8; JOURNAL_ENTRY_SIZE]) -> Option<(u32, Self)> {
         let (content, crc) = bytes.split_last_chunk()?;
         if crc::checksum(content.get(4..)?) != u32::from_le_bytes(*crc) {
             return None;
@@ -154,11 +155,11 @@ impl BootState {
             Some(SlotState { tag: u32::from_le_bytes(tag), status: ImageStatus::decode(status)? })
         };
         let generation = u32::from_le_bytes(generation);
-        if u32::from_le_bytes(format) != FORMAT_VERSION || generation == 0 {
+        if u32::from_le_bytes(format) != BOOT_STATE_FORMAT_VERSION || generation == 0 {
             return None;
         }
         let slots = [slot(tag_a, [status_a, starts_a])?, slot(tag_b, [status_b, starts_b])?];
-        Some((generation, Self { floor: Version(u32::from_le_bytes(floor)), slots }))
+        Some((generation, Self { floor: FirmwareVersion(u32::from_le_bytes(floor)), slots }))
     }
 }
 
@@ -181,18 +182,18 @@ mod tests {
         for status in ALL {
             for other in ALL {
                 let slots = [SlotState { tag: 7, status }, SlotState { tag: 8, status: other }];
-                let state = BootState { floor: Version::new(1, 2, 3, 4), slots };
+                let state = BootState { floor: FirmwareVersion::new(1, 2, 3, 4), slots };
                 let bytes = state.encode(9);
                 assert_eq!(BootState::decode(&bytes), Some((9, state)));
-                for bit in 32..8 * ENTRY_SIZE {
+                for bit in 32..8 * JOURNAL_ENTRY_SIZE {
                     let mut damaged = bytes;
                     damaged[bit / 8] ^= 1 << (bit % 8);
                     assert_eq!(BootState::decode(&damaged), None, "bit {bit}");
                 }
             }
         }
-        assert_eq!(BootState::decode(&[0; ENTRY_SIZE]), None);
-        assert_eq!(BootState::decode(&[0xFF; ENTRY_SIZE]), None);
+        assert_eq!(BootState::decode(&[0; JOURNAL_ENTRY_SIZE]), None);
+        assert_eq!(BootState::decode(&[0xFF; JOURNAL_ENTRY_SIZE]), None);
     }
 
     #[test]

@@ -18,15 +18,15 @@ use trueup_store::strict_flash::StrictFlash;
 use crate::{
     boot_state::ImageStatus,
     flash_layout::Slot,
-    header::{HEADER_SIZE, Version},
     image_check::Image,
+    image_header::{FirmwareVersion, HEADER_SIZE},
     journal::Journal,
     start::{ClockSpeed, StartOutcome, StartReason, StartSelection, select_image},
     testing::{
-        PowerSupply, PoweredFlash, RECORDS_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, flash_by_probe,
+        JOURNAL_SECTOR_BYTES, PowerSupply, PoweredFlash, SLOT_BYTES, TEST_KEY, flash_by_probe,
         signed_image, with_supply,
     },
-    update::{Update, confirm},
+    update::{ImageUpdate, confirm},
 };
 
 /// Fate of the new image.
@@ -54,7 +54,7 @@ struct ExpectedState {
 /// The content of both flashes, and what was promised.
 #[derive(Clone)]
 struct PowerCutBoard {
-    records: StrictFlash<RECORDS_SECTOR_BYTES>,
+    records: StrictFlash<JOURNAL_SECTOR_BYTES>,
     slots: StrictFlash<SLOT_BYTES>,
     promised: ExpectedState,
     files: [Vec<u8>; 2],
@@ -71,7 +71,8 @@ impl PowerCutBoard {
         let mut slots = StrictFlash::with_unstable_bits(seed);
         flash_by_probe(&mut slots, Slot::A, &files[0]);
         let mut journal = Journal::open(StrictFlash::with_unstable_bits(seed ^ 0x5555));
-        let running = crate::image_check::read_header(&mut slots, Slot::A, Version::default());
+        let running =
+            crate::image_check::read_header(&mut slots, Slot::A, FirmwareVersion::default());
         let running = running.expect("it was just written");
         for number in 0..before {
             let state = journal.state().with_status(Slot::B, number, ImageStatus::Rejected);
@@ -88,7 +89,7 @@ impl PowerCutBoard {
         &mut self,
         supply: &PowerSupply,
         work: impl FnOnce(
-            &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+            &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
             &mut PoweredFlash<SLOT_BYTES>,
         ) -> T,
     ) -> T {
@@ -121,8 +122,8 @@ impl PowerCutBoard {
         assert!(!rejected || slot == Slot::A, "rejected, and back: {context:?}");
         assert!(!update || crashed || slot == Slot::B, "loaded, and not started: {context:?}");
         let floor = state.floor;
-        let risen = floor == Version::new(0, 2, 0, 0);
-        assert!(risen || floor == Version::default(), "floor {floor}: {context:?}");
+        let risen = floor == FirmwareVersion::new(0, 2, 0, 0);
+        assert!(risen || floor == FirmwareVersion::default(), "floor {floor}: {context:?}");
         assert!(confirming || !risen, "the floor rose before a confirmation: {context:?}");
         assert!(!confirmed || risen, "the floor fell: {context:?}");
         let is_confirmed = Slot::B.element_of(&state.slots).status == ImageStatus::Confirmed;
@@ -135,7 +136,7 @@ impl PowerCutBoard {
         let file = self.files[1].clone();
         let header: &[u8; HEADER_SIZE] = file.first_chunk().expect("a header");
         let result = self.run_with_supply(supply, |journal, slots| {
-            let mut update = Update::begin(journal, slots, running, header)?;
+            let mut update = ImageUpdate::begin(journal, slots, running, header)?;
             for piece in file[HEADER_SIZE..].chunks(7) {
                 update.append(slots, piece)?;
             }
@@ -167,7 +168,7 @@ impl PowerCutBoard {
             let StartSelection { image, reason, .. } = self.start(supply, ending)?;
             ending = StartOutcome::Reset;
             match (image.header.slot, story) {
-                (Slot::A, TrialOutcome::Crashes) if reason == StartReason::WentBack => {
+                (Slot::A, TrialOutcome::Crashes) if reason == StartReason::RolledBack => {
                     self.promised.rejected = true;
                     return Ok(());
                 }
@@ -181,7 +182,7 @@ impl PowerCutBoard {
     }
 
     /// Checks that each promise of the board holds after three more power cycles.
-    fn verify_expected_state(&mut self) {
+    fn verify_after_power_cycles(&mut self) {
         for _ in 0..3 {
             let supply = PowerSupply::with_byte_budget(usize::MAX);
             for random in [&self.records.random, &self.slots.random] {
@@ -221,7 +222,7 @@ fn cut_power_twice(story: TrialOutcome, seed: u32, before: u32, step: usize) -> 
                 twice.run_scenario(&PowerSupply::with_byte_budget(usize::MAX), story).is_ok(),
                 "the supply lasts"
             );
-            twice.verify_expected_state();
+            twice.verify_after_power_cycles();
             pairs += 1;
         }
     }
@@ -230,20 +231,20 @@ fn cut_power_twice(story: TrialOutcome, seed: u32, before: u32, step: usize) -> 
 }
 
 /// The same with up to three other states stored before, so that sectors of the journal fill up at other words.
-fn cut_power_twice_everywhere(story: TrialOutcome, step: usize) -> usize {
+fn cut_power_twice_with_prior_states(story: TrialOutcome, step: usize) -> usize {
     let seed = |before: u32| 2 * before + u32::from(story == TrialOutcome::Crashes);
     (0..4).map(|before| cut_power_twice(story, seed(before) + 1, before, step)).sum()
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_is_confirmed_leave_a_board_that_starts() {
-    let pairs = cut_power_twice_everywhere(TrialOutcome::Confirmed, 11);
+    let pairs = cut_power_twice_with_prior_states(TrialOutcome::Confirmed, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_crashes_leave_a_board_that_starts() {
-    let pairs = cut_power_twice_everywhere(TrialOutcome::Crashes, 11);
+    let pairs = cut_power_twice_with_prior_states(TrialOutcome::Crashes, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
@@ -251,7 +252,7 @@ fn two_power_cuts_in_an_update_that_crashes_leave_a_board_that_starts() {
 #[ignore = "long: every pair of words, eighty seconds"]
 fn two_power_cuts_at_every_pair_of_words_leave_a_board_that_starts() {
     let pairs = [TrialOutcome::Confirmed, TrialOutcome::Crashes]
-        .map(|story| cut_power_twice_everywhere(story, 1));
+        .map(|story| cut_power_twice_with_prior_states(story, 1));
     println!("{} pairs", pairs[0] + pairs[1]);
     assert!(pairs[0] + pairs[1] >= 1_000_000, "{pairs:?}");
 }

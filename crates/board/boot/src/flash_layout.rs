@@ -5,11 +5,11 @@ pub const FLASH_START: u32 = 0x0800_0000;
 /// Bytes of the boot program at most: sectors 0 and 1.
 pub const MAX_BOOT_PROGRAM_SIZE: u32 = 32 * 1024;
 /// First address of the records: sectors 2 and 3.
-pub const RECORDS_START: u32 = 0x0800_8000;
+pub const JOURNAL_START: u32 = 0x0800_8000;
 /// The first of their two sectors.
-pub const FIRST_RECORDS_SECTOR: u8 = 2;
+pub const JOURNAL_FIRST_SECTOR: u8 = 2;
 /// Bytes of each of their sectors.
-pub const RECORDS_SECTOR_SIZE: u32 = 16 * 1024;
+pub const JOURNAL_SECTOR_SIZE: u32 = 16 * 1024;
 /// First address of slot A; slot B follows it.
 pub const SLOTS_START: u32 = 0x0801_0000;
 /// Bytes of a slot. Slot B has 256 KB of sectors; an image must fit both.
@@ -97,8 +97,8 @@ mod tests {
 
     #[test]
     fn the_places_follow_each_other_and_end_where_the_store_begins() {
-        assert_eq!(FLASH_START + MAX_BOOT_PROGRAM_SIZE, RECORDS_START);
-        assert_eq!(RECORDS_START + 2 * RECORDS_SECTOR_SIZE, SLOTS_START);
+        assert_eq!(FLASH_START + MAX_BOOT_PROGRAM_SIZE, JOURNAL_START);
+        assert_eq!(JOURNAL_START + 2 * JOURNAL_SECTOR_SIZE, SLOTS_START);
         assert_eq!(Slot::B.start(), 0x0804_0000, "sector 6");
         assert!(Slot::B.start() + SLOT_SIZE <= 0x0808_0000, "sector 8 is the store's");
         assert_eq!(HANDOVER_START + HANDOVER_SIZE, 0x2002_0000, "the end of the RAM");

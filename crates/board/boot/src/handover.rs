@@ -45,8 +45,8 @@ impl StartInfo {
         let (number, start) = match self.reason {
             StartReason::Newest => (1, 0),
             StartReason::Trial(start) => (2, start),
-            StartReason::Alone => (3, 0),
-            StartReason::WentBack => (4, 0),
+            StartReason::OnlyImage => (3, 0),
+            StartReason::RolledBack => (4, 0),
             StartReason::LastResort => (5, 0),
         };
         let [status, starts] = self.other.map_or(NO_IMAGE_STATUS, ImageStatus::encode);
@@ -60,8 +60,8 @@ impl StartInfo {
         let reason = match (number, start) {
             (1, 0) => StartReason::Newest,
             (2, start) => StartReason::Trial(start),
-            (3, 0) => StartReason::Alone,
-            (4, 0) => StartReason::WentBack,
+            (3, 0) => StartReason::OnlyImage,
+            (4, 0) => StartReason::RolledBack,
             (5, 0) => StartReason::LastResort,
             _ => return None,
         };
@@ -106,8 +106,8 @@ mod tests {
         let trials = (1..=MAX_TRIAL_STARTS).map(StartReason::Trial);
         let others = [
             StartReason::Newest,
-            StartReason::Alone,
-            StartReason::WentBack,
+            StartReason::OnlyImage,
+            StartReason::RolledBack,
             StartReason::LastResort,
         ]
         .into_iter();

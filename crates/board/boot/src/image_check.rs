@@ -8,7 +8,7 @@ use crate::{
     crc,
     flash_layout::Slot,
     hash::Sha256,
-    header::{HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE, Version},
+    image_header::{FirmwareVersion, HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE},
 };
 
 /// Bytes that are read at once.
@@ -34,7 +34,7 @@ pub enum ImageDefect {
     /// Its version is below the floor.
     BelowFloor {
         /// The oldest version that may start.
-        floor: Version,
+        floor: FirmwareVersion,
     },
     /// The floor that it requires is above its own version: once confirmed it would bar itself.
     OwnFloor,
@@ -83,7 +83,7 @@ pub fn check_header(
     bytes: &[u8; HEADER_SIZE],
     slot: Slot,
     slot_size: u32,
-    floor: Version,
+    floor: FirmwareVersion,
 ) -> Result<Image, ImageDefect> {
     /// The header and two vectors.
     const MIN_IMAGE_LENGTH: u32 = 512 + 8;
@@ -111,7 +111,7 @@ pub fn check_header(
 pub fn read_header<S: ReadNorFlash>(
     slots: &mut S,
     slot: Slot,
-    floor: Version,
+    floor: FirmwareVersion,
 ) -> Result<Image, ImageDefect> {
     let bytes = read_header_bytes(slots, slot)?;
     check_header(&bytes, slot, slot_size(slots), floor)

@@ -21,11 +21,11 @@ use core::{error::Error, fmt};
 
 use embedded_storage::nor_flash::NorFlash;
 
-use crate::boot_state::{BootState, ENTRY_SIZE};
+use crate::boot_state::{BootState, JOURNAL_ENTRY_SIZE};
 
 /// Bytes of an entry.
-const ENTRY_BYTES: u32 = 32;
-const _: () = assert!(ENTRY_BYTES as usize == ENTRY_SIZE);
+const JOURNAL_ENTRY_BYTES: u32 = 32;
+const _: () = assert!(JOURNAL_ENTRY_BYTES as usize == JOURNAL_ENTRY_SIZE);
 /// Bytes of the first word of an entry.
 const CLAIM_WORD_BYTES: usize = 4;
 /// Entries of a state.
@@ -179,9 +179,9 @@ impl<F: NorFlash> Journal<F> {
     }
 
     /// Writes an entry, its first word before the others; returns whether it is read back unchanged.
-    fn program_entry(&mut self, address: u32, bytes: &[u8; ENTRY_SIZE]) -> bool {
+    fn program_entry(&mut self, address: u32, bytes: &[u8; JOURNAL_ENTRY_SIZE]) -> bool {
         let (claim, content) = bytes.split_at(CLAIM_WORD_BYTES);
-        let mut back = [0xFF; ENTRY_SIZE];
+        let mut back = [0xFF; JOURNAL_ENTRY_SIZE];
         self.flash.write(address, claim).is_ok()
             && self.flash.write(address.saturating_add(4), content).is_ok()
             && self.flash.read(address, &mut back).is_ok()
@@ -192,7 +192,7 @@ impl<F: NorFlash> Journal<F> {
         let mut content = SectorContent::default();
         let mut before = None;
         for number in 0..self.entries_per_sector() {
-            let mut bytes = [0; ENTRY_SIZE];
+            let mut bytes = [0; JOURNAL_ENTRY_SIZE];
             let address = self.entry_address(sector, number);
             let is_read = self.flash.read(address, &mut bytes).is_ok();
             if is_read && bytes.iter().all(|byte| *byte == 0xFF) {
@@ -218,26 +218,28 @@ impl<F: NorFlash> Journal<F> {
     }
 
     fn entries_per_sector(&self) -> u32 {
-        self.sector_size() / ENTRY_BYTES
+        self.sector_size() / JOURNAL_ENTRY_BYTES
     }
 
     fn entry_address(&self, sector: u32, entry: u32) -> u32 {
-        sector.saturating_mul(self.sector_size()).saturating_add(entry.saturating_mul(ENTRY_BYTES))
+        sector
+            .saturating_mul(self.sector_size())
+            .saturating_add(entry.saturating_mul(JOURNAL_ENTRY_BYTES))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{boot_state::ImageStatus, flash_layout::Slot, header::Version};
+    use crate::{boot_state::ImageStatus, flash_layout::Slot, image_header::FirmwareVersion};
     use trueup_store::strict_flash::StrictFlash;
 
     /// Room for four states.
-    const SECTOR: usize = 8 * ENTRY_SIZE;
+    const SECTOR: usize = 8 * JOURNAL_ENTRY_SIZE;
     type Flash = StrictFlash<SECTOR>;
 
     fn state(number: u32) -> BootState {
-        BootState { floor: Version(number), ..BootState::default() }.with_status(
+        BootState { floor: FirmwareVersion(number), ..BootState::default() }.with_status(
             Slot::B,
             number,
             ImageStatus::Trial(1),
@@ -346,7 +348,7 @@ mod tests {
     }
 
     /// Bytes of a state: two entries.
-    const STATE: usize = 2 * ENTRY_SIZE;
+    const STATE: usize = 2 * JOURNAL_ENTRY_SIZE;
 
     #[test]
     fn three_cuts_in_a_row_lose_no_state_that_was_relied_on() {

@@ -41,11 +41,11 @@ mod cuts;
 pub mod flash_layout;
 pub mod handover;
 mod hash;
-pub mod header;
 pub mod image_check;
+pub mod image_header;
 pub mod journal;
 pub mod public_key;
-pub mod refusal;
+pub mod refusal_reason;
 pub mod start;
 #[cfg(test)]
 mod testing;

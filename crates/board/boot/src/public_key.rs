@@ -6,7 +6,7 @@
 //! image. Here both multiplications go bit by bit, together: 256 doublings and at most 256 additions. Nothing is
 //! secret, so the time may depend on the values.
 
-use crate::{hash::Sha512, header::SIGNATURE_SIZE, image_check::VerifyingKey};
+use crate::{hash::Sha512, image_check::VerifyingKey, image_header::SIGNATURE_SIZE};
 use curve25519_dalek::{
     Scalar,
     constants::ED25519_BASEPOINT_POINT,
@@ -15,19 +15,19 @@ use curve25519_dalek::{
 };
 
 /// Bytes of a public key.
-pub const KEY_SIZE: usize = 32;
+pub const PUBLIC_KEY_SIZE: usize = 32;
 
 /// A public key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublicKey {
-    bytes: [u8; KEY_SIZE],
+    bytes: [u8; PUBLIC_KEY_SIZE],
     point: EdwardsPoint,
 }
 
 impl PublicKey {
     /// Returns the key of these bytes; `None`: they are none, or a weak one that holds for every message.
     #[must_use]
-    pub fn new(bytes: &[u8; KEY_SIZE]) -> Option<Self> {
+    pub fn new(bytes: &[u8; PUBLIC_KEY_SIZE]) -> Option<Self> {
         let point = CompressedEdwardsY(*bytes).decompress()?;
         let is_weak = point.mul_by_cofactor().is_identity();
         (!is_weak).then_some(Self { bytes: *bytes, point })

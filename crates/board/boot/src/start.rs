@@ -44,9 +44,9 @@ pub enum StartReason {
     /// It is on trial: which start of [`MAX_TRIAL_STARTS`] this is.
     Trial(u8),
     /// It is not confirmed, but there is none to go back to.
-    Alone,
+    OnlyImage,
     /// The newest one does not hold, or failed its trial, or is incomplete.
-    WentBack,
+    RolledBack,
     /// It failed its trial or is incomplete, and no other one holds.
     LastResort,
 }
@@ -110,7 +110,7 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
         ImageStatus::New | ImageStatus::Verified => 1,
         ImageStatus::Trial(starts) | ImageStatus::Announced(starts) => starts.saturating_add(1),
         ImageStatus::Confirmed if is_newest => return start(chosen, StartReason::Newest),
-        ImageStatus::Confirmed => return start(chosen, StartReason::WentBack),
+        ImageStatus::Confirmed => return start(chosen, StartReason::RolledBack),
         ImageStatus::Loading | ImageStatus::Rejected => {
             return start(chosen, StartReason::LastResort);
         }
@@ -119,12 +119,12 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     let Some(back) =
         other.filter(|candidate| candidate.status.is_eligible() && holds(candidate, true))
     else {
-        return start(chosen, StartReason::Alone);
+        return start(chosen, StartReason::OnlyImage);
     };
     let image = &chosen.image;
     let on_trial = state.with_status(image.header.slot, image.tag, ImageStatus::Trial(starts));
     if journal.commit(on_trial).is_err() && back.status == ImageStatus::Confirmed {
-        return start(back, StartReason::WentBack);
+        return start(back, StartReason::RolledBack);
     }
     start(chosen, StartReason::Trial(starts))
 }

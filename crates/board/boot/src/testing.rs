@@ -9,16 +9,16 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNo
 use trueup_store::strict_flash::StrictFlash;
 
 use crate::{
-    boot_state::ENTRY_SIZE,
+    boot_state::JOURNAL_ENTRY_SIZE,
     crc,
     flash_layout::Slot,
-    header::{HEADER_SIZE, ImageHeader, SIGNATURE_SIZE, Version},
     image_check::VerifyingKey,
+    image_header::{FirmwareVersion, HEADER_SIZE, ImageHeader, SIGNATURE_SIZE},
     journal::Journal,
 };
 
 /// Bytes of a sector of the records: room for four states.
-pub const RECORDS_SECTOR_BYTES: usize = 8 * ENTRY_SIZE;
+pub const JOURNAL_SECTOR_BYTES: usize = 8 * JOURNAL_ENTRY_SIZE;
 /// Bytes of a slot.
 pub(crate) const SLOT_BYTES: usize = HEADER_SIZE + 128;
 
@@ -133,7 +133,7 @@ pub(crate) fn signed_image(slot: Slot, version: u8, floor: u8) -> Vec<u8> {
 pub(crate) fn image_signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
     let body: Vec<u8> =
         (0..64).map(|n: u8| n.wrapping_mul(version).wrapping_add(slot.number())).collect();
-    let [version, floor] = [version, floor].map(|minor| Version::new(0, minor, 0, 0));
+    let [version, floor] = [version, floor].map(|minor| FirmwareVersion::new(0, minor, 0, 0));
     let mut header = ImageHeader::new_unsigned(&body, slot, version, floor);
     header.signature = key.sign(ImageHeader::signed_bytes(&header.encode()));
     let mut file = header.encode().to_vec();
@@ -150,11 +150,11 @@ pub(crate) fn flash_by_probe(slots: &mut StrictFlash<SLOT_BYTES>, slot: Slot, fi
 
 /// Runs work with both flashes at a supply.
 pub(crate) fn with_supply<T>(
-    records: &mut StrictFlash<RECORDS_SECTOR_BYTES>,
+    records: &mut StrictFlash<JOURNAL_SECTOR_BYTES>,
     slots: &mut StrictFlash<SLOT_BYTES>,
     supply: &PowerSupply,
     work: impl FnOnce(
-        &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+        &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
         &mut PoweredFlash<SLOT_BYTES>,
     ) -> T,
 ) -> T {

@@ -2,7 +2,7 @@
 //!
 //! Bytes come in any pieces, in order, the header first. They are written as they come; nothing is believed of
 //! them before all were written within one life of the board and CRC and signature hold in the flash. A power
-//! cut makes the download begin anew; a link that breaks does not, as long as the owner keeps the [`Update`].
+//! cut makes the download begin anew; a link that breaks does not, as long as the owner keeps the [`ImageUpdate`].
 
 use core::fmt;
 
@@ -11,11 +11,11 @@ use embedded_storage::nor_flash::NorFlash;
 use crate::{
     boot_state::ImageStatus,
     flash_layout::Slot,
-    header::{HEADER_SIZE, Version},
     image_check::{
         Image, ImageDefect, VerifyingKey, check_header, check_image, read_header, slot_size,
         slot_start,
     },
+    image_header::{FirmwareVersion, HEADER_SIZE},
     journal::{Journal, JournalWriteError},
 };
 
@@ -30,7 +30,7 @@ pub enum UpdateError {
     /// It is not newer than the image that runs, so it would never start.
     NotNewer {
         /// The version that runs.
-        running: Version,
+        running: FirmwareVersion,
     },
     /// The image that runs is not confirmed, and the spare slot holds the one to go back to.
     Unconfirmed,
@@ -69,14 +69,14 @@ impl core::error::Error for UpdateError {}
 
 /// A download that goes on.
 #[derive(Debug)]
-pub struct Update {
+pub struct ImageUpdate {
     image: Image,
     /// Bytes that were received.
     received: u32,
     part: [u8; WRITE_CHUNK_BYTES],
 }
 
-impl Update {
+impl ImageUpdate {
     /// Takes the header of a new image: checks it, and erases the spare slot. The erase stalls this chip for
     /// up to 4 s.
     ///

@@ -10,7 +10,7 @@
 //! The offsets themselves and the frames of the CNC are not mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
 
-use trueup_core::dimensions::CHANNEL_COUNT;
+use trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
 
 use crate::emergency::ERROR_HISTORY_LEN;
 
@@ -18,12 +18,12 @@ mod address;
 mod constructors;
 #[cfg(test)]
 pub(crate) mod eds;
+mod object_table;
 #[cfg(test)]
 mod reference_page;
-mod table;
 
 pub use address::{ObjectAddress, find_address, find_address_by_name};
-pub use table::OBJECTS;
+pub use object_table::OBJECTS;
 
 /// Decimals of the process values: thousandths of a degree, thousandths of a micrometre.
 pub(crate) const DECIMAL_DIGITS: u8 = 3;
@@ -41,8 +41,10 @@ pub const DROP_CALIBRATION_SIGNATURE: u32 = u32::from_le_bytes(*b"drop");
 pub const FIRMWARE_HEADER_BYTES: usize = 512;
 /// Sub-index of the elongation among the analogue inputs.
 pub const ELONGATION_SUBINDEX: u8 = 9;
-const _: () =
-    assert!(CHANNEL_COUNT == 8 && ERROR_HISTORY_LEN == 8, "the table has eight lines of each");
+const _: () = assert!(
+    TEMPERATURE_CHANNEL_COUNT == 8 && ERROR_HISTORY_LEN == 8,
+    "the table has eight lines of each"
+);
 
 /// How an object is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

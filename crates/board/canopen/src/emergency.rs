@@ -175,7 +175,7 @@ impl EmergencyProducer {
 
     /// Returns a remembered error, the newest being 0: the code, and in bits 16…23 the fault.
     #[must_use]
-    pub fn error(&self, number: u8) -> Option<u32> {
+    pub fn history_entry(&self, number: u8) -> Option<u32> {
         self.history.iter().nth(number.into()).copied()
     }
 

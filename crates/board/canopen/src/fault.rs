@@ -7,7 +7,7 @@
 use trueup_link::status::StateBits;
 
 /// Bits of the error register (CiA 301), in addition to bit 0, which any fault sets.
-mod register {
+mod error_register {
     pub const NONE: u8 = 0;
     pub const VOLTAGE: u8 = 1 << 2;
     pub const COMMUNICATION: u8 = 1 << 4;
@@ -51,7 +51,7 @@ macro_rules! faults {
             #[must_use]
             pub const fn error_register_bit(self) -> u8 {
                 match self {
-                    $(Self::$name => register::$register,)*
+                    $(Self::$name => error_register::$register,)*
                 }
             }
 

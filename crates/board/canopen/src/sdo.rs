@@ -16,13 +16,13 @@ use trueup_link::{frame::Frame, layout::SDO_RESPONSE_ID};
 
 use crate::dictionary::{self, AccessType, Entry, EntryContent, ObjectAddress};
 
-mod abort;
+mod abort_code;
 mod block_download;
 pub mod client;
 #[cfg(test)]
 mod tests;
 
-pub use abort::AbortCode;
+pub use abort_code::AbortCode;
 
 /// A transfer is aborted after this silence of its master.
 pub(crate) const SDO_TIMEOUT_MS: u32 = 5_000;
@@ -70,7 +70,7 @@ pub trait ObjectAccess {
     /// Returns whether a whole block of a domain can be taken now. If not, its master waits for the answer until it can.
     fn has_room_for_block(&self, what: EntryContent) -> bool;
 
-    /// It has come whole, and is now looked at; [`Server::finish_download`] will say what came of it.
+    /// It has come whole, and is now looked at; [`SdoServer::finish_download`] will say what came of it.
     ///
     /// # Errors
     /// Why it is not taken.
@@ -121,12 +121,12 @@ struct DownloadBuffer {
 
 /// The server: the state of the one transfer that is under way.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Server {
+pub struct SdoServer {
     phase: TransferState,
     silent_ms: u32,
 }
 
-impl Server {
+impl SdoServer {
     /// Answers a request. Gives nothing where CiA 301 has no answer: an abort of the master, a
     /// frame that has not 8 bytes, a segment whose acceptance takes a while.
     pub fn receive(&mut self, request: &Frame, objects: &mut impl ObjectAccess) -> Option<Frame> {
@@ -137,7 +137,7 @@ impl Server {
         let at = (u16::from_le_bytes([low, high]), subindex);
         self.silent_ms = 0;
         if let TransferState::Block { at, what, block } = self.phase
-            && block.belongs_to_transfer(command)
+            && block.is_part_of_transfer(command)
         {
             return match self.receive_block_segment(at, what, block, request.data(), objects) {
                 Ok(answer) => answer.map(|data| Frame::from_data(SDO_RESPONSE_ID, data)),
@@ -156,7 +156,7 @@ impl Server {
                 self.phase = TransferState::Idle;
                 return None;
             }
-            6 if command & 1 == 0 => (at, self.start_block(at, command, *data, objects)),
+            6 if command & 1 == 0 => (at, self.start_block_download(at, command, *data, objects)),
             5 => (at, Err(AbortCode::Command)),
             _ => (self.transfer_address(), Err(AbortCode::Command)),
         };
@@ -242,7 +242,7 @@ impl Server {
         let TransferState::Upload { at, what, from, toggle } = self.phase else {
             return Err(AbortCode::Command);
         };
-        if is_toggled(command) != toggle {
+        if is_toggle_bit_set(command) != toggle {
             return Err(AbortCode::Toggle);
         }
         let ObjectValue::Bytes(bytes) = objects.read(what)? else { return Err(AbortCode::NoData) };
@@ -316,7 +316,7 @@ impl Server {
         let TransferState::Download { at, entry, mut incoming, toggle } = self.phase else {
             return Err(AbortCode::Command);
         };
-        if is_toggled(command) != toggle {
+        if is_toggle_bit_set(command) != toggle {
             return Err(AbortCode::Toggle);
         }
         let size = SEGMENT_BYTES.saturating_sub(usize::from(command >> 1 & 7));
@@ -372,7 +372,7 @@ fn saturate_to_u8(size: usize) -> u8 {
     u8::try_from(size).unwrap_or(u8::MAX)
 }
 
-fn is_toggled(command: u8) -> bool {
+fn is_toggle_bit_set(command: u8) -> bool {
     command & 1 << 4 != 0
 }
 

@@ -2,17 +2,17 @@
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
 use trueup_core::{
+    displacement_sensor::{SensorLaw, SensorSlope},
     pt100,
-    sensor::{SensorLaw, SensorSlope},
-    units::{MicroOhms, Nanometres, Reading, Temperature},
+    units::{MicroOhms, Nanometres, SensorReading, Temperature},
 };
 
 /// Prints the elongation of a sensor and the temperature of a PT100.
 pub fn main() {
     // 0.5 µm for each code of the converter; a reading is 1/1024 of a code, a slope 2⁻²⁸ nm per reading.
     let slope = SensorSlope(500 << 18);
-    let law = SensorLaw { k0: Nanometres(0), zero: Reading(600 << 10), slope };
-    let Nanometres(nm) = law.elongation(Reading(640 << 10));
+    let law = SensorLaw { k0: Nanometres(0), zero: SensorReading(600 << 10), slope };
+    let Nanometres(nm) = law.elongation(SensorReading(640 << 10));
     println!("40 codes above zero: {nm} nm");
     assert_eq!(nm, 20_000);
 

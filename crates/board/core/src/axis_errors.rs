@@ -18,9 +18,9 @@ use crate::{
     gradient::Gradient,
     index_set::IndexSet,
     machine_position::MachinePosition,
+    reversal::backlash_error,
     term,
     thermal_state::MachineThermalState,
-    travel::backlash_error,
     units::{FineNanometres, Position},
     volumetric_error::CachedVolumetricErrors,
 };
@@ -304,10 +304,10 @@ mod tests {
     use super::*;
     use crate::{
         calibration::DualDrive,
-        curve::{Curve, Segment},
-        pitch_table::{Beam, PitchErrorTable},
+        curve::{Curve, CurveSegment},
+        pitch_table::{GantryBeam, PitchErrorTable},
+        reversal::Interval,
         term::{Effect, Target, Term},
-        travel::Interval,
     };
 
     #[test]
@@ -337,7 +337,7 @@ mod tests {
         calibration.axes[0].pitch = Some(pitch(first));
         calibration.axes[0].dual = Some(DualDrive {
             across: LinearAxis::Y,
-            beam: Beam::new(Position(0), Position(1_000)),
+            beam: GantryBeam::new(Position(0), Position(1_000)),
             pitch: pitch(second),
         });
         calibration.axes[1].backlash = FineNanometres(-500);
@@ -385,7 +385,7 @@ mod tests {
     #[test]
     fn each_table_that_a_position_is_outside_of_is_reported_alone() {
         let point = [256_i32.to_le_bytes(); 2];
-        let segments = [Segment::new(Position(100), 16, [256, 0, 0, 0]).to_bytes()];
+        let segments = [CurveSegment::new(Position(100), 16, [256, 0, 0, 0]).to_bytes()];
         let curve = Curve::new(Position(0), &segments, &[[0, 0]], 16);
         let pitch = PitchErrorTable {
             start: Position(0),
@@ -396,7 +396,7 @@ mod tests {
         let mut all: [Calibration<'_>; 4] = [crate::testing::minimal_calibration(); 4];
         all[0].axes[2].pitch = Some(pitch);
         all[1].straightness[1] = curve;
-        let beam = Beam::new(Position(0), Position(1_000));
+        let beam = GantryBeam::new(Position(0), Position(1_000));
         all[2].axes[2].dual = Some(DualDrive { across: LinearAxis::X, beam, pitch });
         all[3].terms[0] = Some(Term {
             target: Target::Axis(LinearAxis::X),

@@ -24,7 +24,7 @@
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
 //! | any of these, offset arrived at 0 | sensor and temperatures believable | 0 | off |
 //! | any of these, offset arrived at 0 | faulty or missing | none | fault |
-//! | any, while the offset is inhibited ([`State::set_inhibited`]) | | to 0, at the slew limit; then none | ramping out; fault |
+//! | any, while the offset is inhibited ([`BridgeState::set_inhibited`]) | | to 0, at the slew limit; then none | ramping out; fault |
 //!
 //! Lost and returned is no jump: every way back goes through the slew limit. From one source of the
 //! elongation to another the offset goes on where it was (`sources`).
@@ -39,51 +39,51 @@
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check) | 304 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 497 |
-//! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::tool_direction`](crate::kinematics::Kinematics::tool_direction) | 221 |
-//! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`RevolutionWindow::for_speed`](crate::revolution_window::RevolutionWindow::for_speed) | 49 |
+//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check_codes) | 304 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 497 |
+//! | [`Filter::tick`](crate::run_out_filter::RunOutFilter::tick) | 300 | angles: [`Kinematics::tool_direction`](crate::kinematics::Kinematics::tool_direction) | 221 |
+//! | [`SensorLaw::elongation`](crate::displacement_sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`RevolutionWindow::for_speed`](crate::revolution_window::RevolutionWindow::for_speed) | 49 |
 //! | [`AppliedOffset::step`](crate::limits::AppliedOffset::step) | 180 | | |
 //! | both frames | 215 | | |
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
-mod agreement;
-mod angles;
 mod bumpless_transfer;
 mod cached_errors;
 mod conditions;
 mod lost_inputs;
 mod reference;
 mod required_inputs;
+mod rotary_angles;
 mod slope;
-mod sources;
+mod source_agreement;
+mod source_selection;
 mod state;
 
-pub use self::agreement::{MIN_DISAGREEMENT_NM, MIN_DISAGREEMENT_STEPS};
 pub use self::bumpless_transfer::RetainedTransfer;
 use self::bumpless_transfer::SelectedSource;
 pub use self::conditions::CONDITIONS_TIMEOUT_FACTOR;
 pub use self::lost_inputs::LostInputs;
 use self::required_inputs::RequiredInputs;
 pub use self::slope::{ConstantAndSlope, SLOPE_RESOLUTION_NM};
-pub use self::sources::SOURCE_RETURN_DELAY_MS;
+pub use self::source_agreement::{MIN_DISAGREEMENT_NM, MIN_DISAGREEMENT_STEPS};
+pub use self::source_selection::SOURCE_RETURN_DELAY_MS;
 use self::state::{Age, OffsetMode};
 pub use self::state::{
-    JUMP_REPORT_DURATION_MS, POSITION_JITTER_MS, ReferenceErrors, SAMPLES_TIMEOUT_MS,
-    STALE_DURATION_AFTER_LOSS_MS, State, TEMPERATURE_TIMEOUT_MS,
+    BridgeState, JUMP_REPORT_DURATION_MS, POSITION_JITTER_MS, ReferenceErrors, SAMPLES_TIMEOUT_MS,
+    STALE_DURATION_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS,
 };
 use crate::{
     axis_errors::ErrorSums,
     calibration::{Calibration, ElongationSource},
     cnc::{CncMessage, Control, LinearAxis, OffsetFlags, OffsetQuality, Output, RotaryAxisAngles},
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK, THERMAL_STEP_MS},
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT, THERMAL_STEP_MS},
     index_set::IndexSet,
-    learned::ChangeRequest,
+    learned::LearnedChangeRequest,
     limits::LimitStatus,
     retained_lags::RetainedLags,
     revolution_window,
     temperature_channels::RawTemperatures,
     thermal_state,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     tip_error,
     tool_direction::ToolDirection,
     units::{AdcCode, FineNanometres, Nanometres, Rpm, TimestampMs},
@@ -110,7 +110,7 @@ pub struct TickInput<'a> {
 }
 
 /// The millisecond of each 100 in which the sources are asked, after temperatures and heat have had theirs.
-const SOURCE_SELECTION_PHASE: usize = CHANNEL_COUNT + thermal_state::THERMAL_ITEM_COUNT;
+const SOURCE_SELECTION_PHASE: usize = TEMPERATURE_CHANNEL_COUNT + thermal_state::THERMAL_ITEM_COUNT;
 
 impl<'a> Bridge<'a> {
     /// Returns a bridge for this machine.
@@ -131,7 +131,7 @@ impl<'a> Bridge<'a> {
     /// The effects of a message are computed here and not in every tick: the errors of the axes that
     /// depend on this position, the tool direction. A CNC that stands still sends the same again,
     /// and that costs nothing.
-    pub fn receive(&self, state: &mut State, command: CncMessage) {
+    pub fn receive(&self, state: &mut BridgeState, command: CncMessage) {
         match command {
             CncMessage::Control(control) => self.receive_control(state, control),
             value => self.receive_command(state, value),
@@ -139,7 +139,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Takes a `Control`.
-    pub fn receive_control(&self, state: &mut State, control: Control) {
+    pub fn receive_control(&self, state: &mut BridgeState, control: Control) {
         // An edge needs a known `Control` before it: a CNC that starts with the bit
         // already set has asked for nothing.
         let was = state.control.fresh_value(self.calibration.limits.link_timeout_ms);
@@ -152,7 +152,7 @@ impl<'a> Bridge<'a> {
 
     /// Takes any other command than `Control`, which it ignores.
     // Apart from it, because a `Zero` takes long and no value does: a test bounds the time of each (host-tests, `bounds`).
-    pub fn receive_command(&self, state: &mut State, value: CncMessage) {
+    pub fn receive_command(&self, state: &mut BridgeState, value: CncMessage) {
         match value {
             CncMessage::Control(_) => {}
             CncMessage::Spindle(spindle) => {
@@ -176,14 +176,18 @@ impl<'a> Bridge<'a> {
     }
 
     /// Takes a change that was learned; whether the calibration permits it.
-    pub fn apply_learned_change(&self, state: &mut State, change: ChangeRequest) -> bool {
+    pub fn apply_learned_change(
+        &self,
+        state: &mut BridgeState,
+        change: LearnedChangeRequest,
+    ) -> bool {
         state.heat.learned.request(change, self.calibration.limits.learned)
     }
 
     /// Computes one tick: `now` is the time at its end.
     // A part of the node's tick, also where an image has that twice: a call costs 20 instructions.
     #[inline(always)]
-    pub fn tick(&self, state: &mut State, now: TimestampMs, input: TickInput<'_>) -> Output {
+    pub fn tick(&self, state: &mut BridgeState, now: TimestampMs, input: TickInput<'_>) -> Output {
         let limits = &self.calibration.limits;
         let elapsed_ms = now.duration_ms_since(state.now);
         state.now = now;
@@ -233,7 +237,7 @@ impl<'a> Bridge<'a> {
             || state.channels.has_faulty_channel(self.needs.watched);
         let quality = match mode {
             OffsetMode::Follow if self.is_temperature_held(state, chosen) => OffsetQuality::Hold,
-            OffsetMode::Follow => match self.quality(chosen) {
+            OffsetMode::Follow => match self.offset_quality(chosen) {
                 OffsetQuality::Live if state.conditions.by_default => {
                     OffsetQuality::TemperatureModel
                 }
@@ -263,21 +267,21 @@ impl<'a> Bridge<'a> {
     }
 
     #[inline]
-    fn are_samples_missing(&self, state: &State) -> bool {
+    fn are_samples_missing(&self, state: &BridgeState) -> bool {
         self.needs.sensor
             && (state.codes_age.is_older_than(SAMPLES_TIMEOUT_MS)
                 || !state.starved_age.is_older_than(STALE_DURATION_AFTER_LOSS_MS))
     }
 
     #[inline]
-    fn is_sensor_lost(&self, state: &State, missing: bool) -> bool {
+    fn is_sensor_lost(&self, state: &BridgeState, missing: bool) -> bool {
         self.needs.sensor && !missing && !state.believable
     }
 
     /// Codes to elongation.
     fn process_samples(
         &self,
-        state: &mut State,
+        state: &mut BridgeState,
         codes: &[AdcCode; CODES_PER_TICK],
         speed: Option<Rpm>,
     ) {
@@ -287,7 +291,7 @@ impl<'a> Bridge<'a> {
         state.codes_age = Age::ZERO;
         let supply = state.supply_scale();
         let turns = speed.is_some_and(|speed| speed.0 > revolution_window::MIN_AVERAGED_SPEED.0);
-        let clean = state.health.check(codes, turns).zip(supply);
+        let clean = state.health.check_codes(codes, turns).zip(supply);
         state.believable = clean.is_some();
         match clean {
             None => state.filter.clear(),
@@ -307,7 +311,7 @@ impl<'a> Bridge<'a> {
 
     /// Every 100 ms each temperature is read once, then each part of the heat is stepped once, and then the
     /// sources are asked what they say: one of them a millisecond, and in most milliseconds none.
-    fn step_thermal(&self, state: &mut State, elapsed_ms: u32, speed: Option<Rpm>) {
+    fn step_thermal(&self, state: &mut BridgeState, elapsed_ms: u32, speed: Option<Rpm>) {
         for _ in 0..elapsed_ms.min(THERMAL_STEP_MS) {
             let phase = if state.phase_ms >= THERMAL_STEP_MS { 0 } else { state.phase_ms };
             state.phase_ms = phase.saturating_add(1);
@@ -321,8 +325,8 @@ impl<'a> Bridge<'a> {
     /// Does the work of one of the first milliseconds of each 100: a temperature channel, the shift of a source, or a
     /// part of the heat.
     #[inline(never)]
-    fn step_slow_phase(&self, state: &mut State, phase: usize, speed: Option<Rpm>) {
-        let Some(item) = phase.checked_sub(CHANNEL_COUNT) else {
+    fn step_slow_phase(&self, state: &mut BridgeState, phase: usize, speed: Option<Rpm>) {
+        let Some(item) = phase.checked_sub(TEMPERATURE_CHANNEL_COUNT) else {
             return self.read_temperature(state, phase);
         };
         if phase == SOURCE_SELECTION_PHASE {
@@ -349,7 +353,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Heat that is not known is, once its thermometers agree, or what can be left of it is small.
-    fn update_thermal_state_validity(&self, state: &mut State) {
+    fn update_thermal_state_validity(&self, state: &mut BridgeState) {
         if state.heat.is_unknown() {
             let connected = self.calibration.thermometers.iter().map(Option::is_some);
             let temperatures = state.channels.temperatures();
@@ -362,33 +366,33 @@ impl<'a> Bridge<'a> {
     }
 
     /// The operator says that the machine is cold.
-    pub fn confirm_cold(&self, state: &mut State) {
+    pub fn confirm_cold(&self, state: &mut BridgeState) {
         state.heat.step_unknown_state(true);
     }
 
     /// Returns the heat that outlasts a reset.
     #[must_use]
-    pub fn retained_lags(&self, state: &State) -> RetainedLags {
+    pub fn retained_lags(&self, state: &BridgeState) -> RetainedLags {
         state.heat.retained_lags(&self.calibration)
     }
 
     /// Goes on with the heat from before a reset, or from this many steps of 100 ms without power ago; without
     /// one it is not known, where something has to know it.
-    pub fn restore_lags(&self, state: &mut State, memory: &RetainedLags, steps: u32) {
+    pub fn restore_lags(&self, state: &mut BridgeState, memory: &RetainedLags, steps: u32) {
         state.heat.restore_lags(&self.calibration, memory, steps);
         self.compute_errors(state);
     }
 
     /// Reads a temperature channel, if something is connected to it.
-    fn read_temperature(&self, state: &mut State, number: usize) {
+    fn read_temperature(&self, state: &mut BridgeState, number: usize) {
         if let (Some(Some(thermometer)), Some(raw)) =
             (self.calibration.thermometers.get(number), state.raw.get(number))
         {
             let fresh = !state.raw_age.is_older_than(TEMPERATURE_TIMEOUT_MS);
-            let raw = if fresh { *raw } else { RawReading::NONE };
+            let raw = if fresh { *raw } else { RawTemperatureReading::NONE };
             let reading = thermometer.convert_with_supply(raw, state.supply_scale());
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
-            let believed = state.channels.receive_rate_limited(number, reading, &limit);
+            let believed = state.channels.receive_rate_limited_reading(number, reading, &limit);
             if let Some(steady) = state.steady.get_mut(number) {
                 steady.update(believed, thermometer.dead_band());
             }
@@ -397,21 +401,21 @@ impl<'a> Bridge<'a> {
 
     /// Returns whether a temperature that the offset rests on changed too fast, and is held.
     #[inline]
-    fn is_temperature_held(&self, state: &State, chosen: SelectedSource) -> bool {
+    fn is_temperature_held(&self, state: &BridgeState, chosen: SelectedSource) -> bool {
         let doubtful = state.channels.uncertain_channels();
         doubtful != IndexSet::default()
             && (doubtful.intersects(self.needs.temperatures) || self.is_source_held(state, chosen))
     }
 
     /// Returns whether the temperatures of the axes are there.
-    fn has_temperatures(&self, state: &State) -> bool {
+    fn has_temperatures(&self, state: &BridgeState) -> bool {
         state.channels.has_all_temperatures(self.needs.temperatures)
             && state.heat.is_initialised(self.needs.laws)
             && state.heat.terms().is_initialised(self.needs.heat_terms)
     }
 
     /// Returns whether the positions and angles are there that the CNC sends.
-    fn has_positions(&self, state: &State) -> bool {
+    fn has_positions(&self, state: &BridgeState) -> bool {
         let mut positions = self.needs.position_ms.iter().zip(&state.position_age);
         let timeout_ms = self.calibration.limits.link_timeout_ms;
         positions.all(|(longest, age)| !age.is_older_than(*longest))
@@ -421,7 +425,7 @@ impl<'a> Bridge<'a> {
 
     /// Returns whether an input of the board itself is broken for which there is no other, or what it would
     /// follow is not known. An input that has only not come yet is not broken.
-    fn is_faulty(&self, state: &State, chosen: SelectedSource) -> bool {
+    fn is_faulty(&self, state: &BridgeState, chosen: SelectedSource) -> bool {
         let lacks_heat = || {
             state.heat.is_unknown()
                 && (chosen == SelectedSource::Missing || !self.has_temperatures(state))
@@ -437,7 +441,7 @@ impl<'a> Bridge<'a> {
     #[inline(always)]
     fn compute_target(
         &self,
-        state: &State,
+        state: &BridgeState,
         elongation: Nanometres,
         axes: &ErrorSums,
     ) -> ([Nanometres; 3], bool) {
@@ -454,7 +458,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Returns the tool direction at the present angles.
-    fn tool_direction(&self, state: &State) -> ToolDirection {
+    fn tool_direction(&self, state: &BridgeState) -> ToolDirection {
         match state.tool.latest() {
             Some((_, direction)) => direction,
             None => self.calibration.kinematics.zero,
@@ -465,7 +469,7 @@ impl<'a> Bridge<'a> {
 /// Returns the age of the oldest input that the offset rests on: the newest sample, and the positions and
 /// angles of axes that move. Temperatures are slow, and have a limit of their own.
 #[inline]
-fn oldest_input_age(state: &State, chosen: SelectedSource) -> Age {
+fn oldest_input_age(state: &BridgeState, chosen: SelectedSource) -> Age {
     let sampled = match chosen {
         SelectedSource::Source(ElongationSource::Sensor) | SelectedSource::Missing => {
             state.elongation_age

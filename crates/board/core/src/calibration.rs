@@ -5,17 +5,17 @@
 use crate::{
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    displacement_sensor::SensorLaw,
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
-    limits::Limits,
-    pitch_table::{Beam, PitchErrorTable},
-    sensor::SensorLaw,
+    limits::CompensationLimits,
+    pitch_table::{GantryBeam, PitchErrorTable},
+    reversal,
     term::Terms,
     thermal::ThermalExpansionLaw,
     thermometer::Thermometer,
-    travel,
     units::{FineNanometres, Position, Rpm, Temperature},
     volumetric_error::VolumetricErrorModel,
     warmup,
@@ -25,7 +25,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration<'a> {
     /// The thermometer on each temperature channel.
-    pub thermometers: [Option<Thermometer>; CHANNEL_COUNT],
+    pub thermometers: [Option<Thermometer>; TEMPERATURE_CHANNEL_COUNT],
     /// How the spindle grows.
     pub spindle: SpindleModel<'a>,
     /// From the spindle nose to the tool tip, and the axes that turn it.
@@ -41,7 +41,7 @@ pub struct Calibration<'a> {
     /// The terms that a diagnosis has added; those that are there come first.
     pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
-    pub limits: Limits,
+    pub limits: CompensationLimits,
     /// Thermometers that agree within this belong to a machine that has no heat of its own.
     pub cold_within: Temperature,
     /// The guards of the inputs and of the calibration.
@@ -54,9 +54,9 @@ pub struct Calibration<'a> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputSettings {
     /// How fast each temperature channel may change, in tenths of a kelvin a minute, up to
-    /// [`MAX_RATE_DECIKELVIN_PER_MIN`](crate::thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN). 0: by [`DEFAULT_RATE_DECIKELVIN_PER_MIN`](crate::thermal_rate::DEFAULT_RATE_DECIKELVIN_PER_MIN) where a law
+    /// [`MAX_RATE_DECIKELVIN_PER_MIN`](crate::temperature_rate::MAX_RATE_DECIKELVIN_PER_MIN). 0: by [`DEFAULT_RATE_DECIKELVIN_PER_MIN`](crate::temperature_rate::DEFAULT_RATE_DECIKELVIN_PER_MIN) where a law
     /// uses the channel, else not judged.
-    pub max_rates: [u16; CHANNEL_COUNT],
+    pub max_rates: [u16; TEMPERATURE_CHANNEL_COUNT],
     /// Nothing is written to the board unless its service switch is closed.
     pub service_switch: bool,
     /// The hum that the temperature inputs suppress.
@@ -179,7 +179,7 @@ pub struct AxisModel<'a> {
     /// Its backlash in 1/256 nm, −B of ISO 230-2: the error where it is approached in the negative direction.
     pub backlash: FineNanometres,
     /// How a reversal is distinguished from dither, and over which travel backlash comes in.
-    pub travel: travel::ReversalConfig,
+    pub travel: reversal::ReversalConfig,
     /// Its rapid traverse in 10 nm a millisecond: what it cannot have come to faster is a jump. 0: not judged.
     pub rapid: u32,
 }
@@ -205,7 +205,7 @@ pub struct DualDrive<'a> {
     /// The axis along the beam.
     pub across: LinearAxis,
     /// Where along the beam the two drives are.
-    pub beam: Beam,
+    pub beam: GantryBeam,
     /// The second drive's own table.
     pub pitch: PitchErrorTable<'a>,
 }
@@ -213,14 +213,14 @@ pub struct DualDrive<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{curve::Segment, units::FineNanometres};
+    use crate::{curve::CurveSegment, units::FineNanometres};
 
     #[test]
     fn a_spindle_heats_by_its_speed_and_one_that_stands_or_is_not_known_does_not() {
         const ONE_Q28: i32 = 1 << 28;
         // A quarter of full up to 1000 r/min, less than nothing from there to 2000, full beyond.
         let segments = [(1_000, ONE_Q28 / 4), (2_000, -ONE_Q28), (3_000, ONE_Q28)]
-            .map(|(end, drive)| Segment::new(Position(end), 16, [drive, 0, 0, 0]).to_bytes());
+            .map(|(end, drive)| CurveSegment::new(Position(end), 16, [drive, 0, 0, 0]).to_bytes());
         let power = Curve::new(Position(0), &segments, &[[0, 0]], 16);
         let law = warmup::WarmupModel {
             lag_ms: 0,

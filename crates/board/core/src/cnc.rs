@@ -1,7 +1,7 @@
 //! The messages between the bridge and the CNC, apart from how they look on the wire.
 
 use crate::{
-    learned::ChangeRequest,
+    learned::LearnedChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -35,7 +35,7 @@ pub struct Control {
     /// to true.
     pub confirm: bool,
     /// A learned change of a part of the correction.
-    pub learned: ChangeRequest,
+    pub learned: LearnedChangeRequest,
 }
 
 impl Control {
@@ -46,7 +46,7 @@ impl Control {
         zero: false,
         service: false,
         confirm: false,
-        learned: ChangeRequest { part: 0, amount: 0, calibration: 0 },
+        learned: LearnedChangeRequest { part: 0, amount: 0, calibration: 0 },
     };
     /// The axes are referenced, and nothing else.
     pub const REFERENCED: Self = Self { engage: false, ..Self::ENGAGED };
@@ -205,14 +205,14 @@ impl OffsetFlags {
 
     /// These flags and `other`.
     #[must_use]
-    pub const fn with(self, other: Self) -> Self {
+    pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
     /// These flags, and `other` if `condition` holds.
     #[must_use]
     pub const fn with_if(self, condition: bool, other: Self) -> Self {
-        if condition { self.with(other) } else { self }
+        if condition { self.union(other) } else { self }
     }
 
     /// Returns whether every flag of `other` is set.
@@ -255,8 +255,8 @@ mod tests {
 
     #[test]
     fn a_flag_that_is_set_again_stays_and_several_are_there_when_each_is() {
-        let both = OffsetFlags::CLAMPED.with(OffsetFlags::CNC_LOST);
-        assert_eq!(both.with(OffsetFlags::CLAMPED), both);
+        let both = OffsetFlags::CLAMPED.union(OffsetFlags::CNC_LOST);
+        assert_eq!(both.union(OffsetFlags::CLAMPED), both);
         assert_eq!(
             both.with_if(true, OffsetFlags::CNC_LOST).with_if(false, OffsetFlags::SLEWING),
             both

@@ -14,7 +14,7 @@
 //! starts anew in every segment, a coefficient never has to carry the machine's 15 m.
 //!
 //! The five low bits of c₃ say the span, as the rotation to the right that brings u to the top of
-//! its word; c₃ enters the arithmetic whole, and [`Segment::new`] rounds it to the nearest value
+//! its word; c₃ enters the arithmetic whole, and [`CurveSegment::new`] rounds it to the nearest value
 //! with those bits: at most 4 units of y, 0.016 nm.
 //!
 //! The segment is found in constant time: an index over equal buckets names the segment of the
@@ -22,7 +22,7 @@
 //! stored and not the start because then the comparison that ends the search is with the word
 //! that t needs anyway.
 //!
-//! Range: any B-spline with control points within ±262 µm fits unchanged ([`Segment::is_valid_for_reach`]); a
+//! Range: any B-spline with control points within ±262 µm fits unchanged ([`CurveSegment::is_valid_for_reach`]); a
 //! larger one fits after its segments are halved. Sums wrap, because a sound segment cannot
 //! overflow and an unsound one is refused when it is loaded. Worst error against `f64`, measured
 //! by the test below over 600 curves of 1…512 segments, 0.1 mm to 20 m long, up to ±250 µm: 0.028 nm
@@ -32,7 +32,7 @@ mod segment;
 #[cfg(test)]
 mod tests;
 
-pub use self::segment::{SEGMENT_SIZE, Segment};
+pub use self::segment::{CURVE_SEGMENT_SIZE, CurveSegment};
 use self::segment::{evaluate_horner, read_words, segment_end};
 use crate::{
     fixed_point::mul_high_unsigned,
@@ -47,7 +47,7 @@ pub const MAX_KNOTS_IN_BUCKET: usize = 3;
 /// `Default` is the empty curve, which is 0 everywhere.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Curve<'a> {
-    segments: &'a [[u8; SEGMENT_SIZE]],
+    segments: &'a [[u8; CURVE_SEGMENT_SIZE]],
     index: &'a [[u8; 2]],
     /// The first knot.
     first: i32,
@@ -67,7 +67,7 @@ impl<'a> Curve<'a> {
     #[must_use]
     pub fn new(
         first: Position,
-        segments: &'a [[u8; SEGMENT_SIZE]],
+        segments: &'a [[u8; CURVE_SEGMENT_SIZE]],
         index: &'a [[u8; 2]],
         bucket_shift: u8,
     ) -> Self {
@@ -94,7 +94,7 @@ impl<'a> Curve<'a> {
 
     /// Returns the segments as they are stored.
     #[must_use]
-    pub const fn segments(&self) -> &'a [[u8; SEGMENT_SIZE]] {
+    pub const fn segments(&self) -> &'a [[u8; CURVE_SEGMENT_SIZE]] {
         self.segments
     }
 
@@ -199,7 +199,7 @@ impl<'a> Curve<'a> {
         let mut start = self.first;
         // The knot at its start belongs to the segment before, except at the first.
         let mut before = 0;
-        let sound = self.segments.iter().map(Segment::from_bytes).all(|segment| {
+        let sound = self.segments.iter().map(CurveSegment::from_bytes).all(|segment| {
             let length = segment.end.0.wrapping_sub(start).cast_unsigned();
             let rising = start < segment.end.0;
             start = segment.end.0;

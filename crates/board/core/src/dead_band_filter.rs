@@ -15,8 +15,8 @@ use crate::{
 };
 
 /// Largest difference from the smoothed value that counts as jitter; more is followed at once. Half a kelvin, as in
-/// [`thermal_rate`](crate::thermal_rate). So the first result of a converter, which may be far off, does not linger.
-const MAX_JITTER: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
+/// [`temperature_rate`](crate::temperature_rate). So the first result of a converter, which may be far off, does not linger.
+const MAX_TEMPERATURE_JITTER: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
 
 /// A temperature that stands while its readings change by no more than the jitter of their converter.
 #[derive(Clone, Copy, Debug, Default)]
@@ -40,7 +40,7 @@ impl DeadBandFilter {
         };
         match &mut self.known {
             Some(FilterState { smoothed, held })
-                if smoothed.value().abs_diff(now.0) <= MAX_JITTER =>
+                if smoothed.value().abs_diff(now.0) <= MAX_TEMPERATURE_JITTER =>
             {
                 smoothed.step(now.0, SmoothingFactor::TIME_CONSTANT_1_S);
                 let (value, within) = (smoothed.value(), dead_band.0);

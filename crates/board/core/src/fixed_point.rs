@@ -88,10 +88,10 @@ pub const fn mul_high_unsigned(a: u32, b: u32) -> u32 {
     reason = "the two halves of a 64-bit number, and a number below 2³² back"
 )]
 pub const fn mul_q32(value: i64, factor: u32) -> i64 {
-    const HALF: u64 = 1 << 31;
+    const ROUNDING_HALF: u64 = 1 << 31;
     let upper = (value >> 32).wrapping_mul(factor as i64);
     // (2³² − 1)² + 2³¹ is below 2⁶⁴.
-    let lower = (value as u32 as u64).wrapping_mul(factor as u64).wrapping_add(HALF) >> 32;
+    let lower = (value as u32 as u64).wrapping_mul(factor as u64).wrapping_add(ROUNDING_HALF) >> 32;
     upper.wrapping_add(lower as i64)
 }
 

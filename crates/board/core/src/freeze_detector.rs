@@ -18,9 +18,9 @@ pub const FROZEN_AFTER_READINGS: u16 = 400;
 /// A swing outweighs this many readings without one.
 const SWING_WEIGHT: u16 = 23;
 /// As far as the weight goes: a minute of noise of one step RMS brings it there.
-const MAX_WEIGHT: u16 = 1_000;
+const MAX_LIVELINESS_WEIGHT: u16 = 1_000;
 /// Lively up to here: above what is left of the largest weight when a stop has been counted to its end.
-const MIN_LIVELY_WEIGHT: u16 = MAX_WEIGHT - FROZEN_AFTER_READINGS - 100;
+const MIN_LIVELY_WEIGHT: u16 = MAX_LIVELINESS_WEIGHT - FROZEN_AFTER_READINGS - 100;
 /// One that has changed within 2 s is going.
 const INACTIVE_AFTER_READINGS: u16 = 20;
 
@@ -57,7 +57,7 @@ impl FreezeDetector {
             self.is_rising = is_rising;
         }
         self.weight = if swings {
-            self.weight.saturating_add(SWING_WEIGHT).min(MAX_WEIGHT)
+            self.weight.saturating_add(SWING_WEIGHT).min(MAX_LIVELINESS_WEIGHT)
         } else {
             self.weight.saturating_sub(1)
         };

@@ -32,12 +32,12 @@ impl Gradient {
     /// ```
     #[must_use]
     pub fn error_over_travel(self, from: Position, to: Position) -> FineNanometres {
-        const SHIFT: u32 = Gradient::FRACTION_BITS - FineNanometres::FRACTION_BITS;
+        const FRACTION_SHIFT: u32 = Gradient::FRACTION_BITS - FineNanometres::FRACTION_BITS;
         let travel = i64::from(to.0).wrapping_sub(i64::from(from.0));
         // At most 2³¹·(2³² − 1) + 2²⁷, below 2⁶³: neither step can wrap.
         FineNanometres::saturating_from(rounding_shift_right(
             travel.wrapping_mul(i64::from(self.0)),
-            SHIFT,
+            FRACTION_SHIFT,
         ))
     }
 }

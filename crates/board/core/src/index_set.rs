@@ -1,6 +1,6 @@
 //! A set of small numbers: channels, axes, terms of a calibration.
 
-use crate::dimensions::{CHANNEL_COUNT, MAX_TERMS};
+use crate::design_parameters::{MAX_TERMS, TEMPERATURE_CHANNEL_COUNT};
 
 /// A set of numbers from 0 to 15. That all of some are there is one comparison.
 ///
@@ -17,7 +17,7 @@ use crate::dimensions::{CHANNEL_COUNT, MAX_TERMS};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IndexSet(u16);
 
-const _: () = assert!(CHANNEL_COUNT <= u16::BITS as usize);
+const _: () = assert!(TEMPERATURE_CHANNEL_COUNT <= u16::BITS as usize);
 const _: () = assert!(MAX_TERMS <= u16::BITS as usize);
 
 impl IndexSet {

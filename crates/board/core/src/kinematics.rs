@@ -24,9 +24,9 @@
 //! elongation of a millimetre. Two axes cost about 190 instructions on the Cortex-M4.
 
 use crate::{
-    angle::sin_cos,
     fixed_point::{rounding_shift_right, saturate_to_i32, widening_mul},
     tool_direction::ToolDirection,
+    trigonometry::sin_cos,
     units::MicroDegrees,
 };
 

@@ -1,6 +1,6 @@
 //! A first-order lag: the screw follows its thermometer.
 //!
-//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`THERMAL_STEP_MS`](crate::dimensions::THERMAL_STEP_MS) and the smoothing factor 1 − e^(−Δt/τ) in
+//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`THERMAL_STEP_MS`](crate::design_parameters::THERMAL_STEP_MS) and the smoothing factor 1 − e^(−Δt/τ) in
 //! Q32, computed by the host. It is exact for an input that is constant over the step.
 //!
 //! The state has 28 binary places below its input, which may be any `i32`, so it fills 60 bits; a
@@ -36,9 +36,9 @@ impl SmoothingFactor {
     #[must_use]
     pub fn steps_to_fraction(self, parts: u32) -> u32 {
         /// ln 2 in Q32.
-        const LN_2: u64 = 2_977_044_472;
+        const LN_2_Q32: u64 = 2_977_044_472;
         let halvings = u64::from(u32::BITS.saturating_sub(parts.saturating_sub(1).leading_zeros()));
-        let steps = halvings.saturating_mul(LN_2).checked_div(self.0.into());
+        let steps = halvings.saturating_mul(LN_2_Q32).checked_div(self.0.into());
         steps.map_or(u32::MAX, |steps| u32::try_from(steps).unwrap_or(u32::MAX).saturating_add(1))
     }
 }
@@ -89,13 +89,13 @@ impl Lag {
     /// ```
     /// use trueup_core::lag::{Lag, SmoothingFactor};
     /// let mut lag = Lag::settled_at(0);
-    /// lag.record_missed(3);
+    /// lag.record_missed_steps(3);
     /// assert_eq!(lag.value(), 0);
     /// // As four steps to 1000: 1000·(1 − 0.75⁴).
     /// lag.step(1000, SmoothingFactor(1 << 30));
     /// assert_eq!((lag.value(), lag.missed_steps()), (684, 0));
     /// ```
-    pub const fn record_missed(&mut self, steps: u32) {
+    pub const fn record_missed_steps(&mut self, steps: u32) {
         self.missed = self.missed.saturating_add(steps);
     }
 
@@ -171,7 +171,7 @@ fn two_step_smoothing(smoothing: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dimensions::THERMAL_STEP_MS;
+    use crate::design_parameters::THERMAL_STEP_MS;
     extern crate std;
     use crate::units::Temperature;
 
@@ -244,7 +244,7 @@ mod tests {
                     let [from, to] =
                         [from_k, to_k].map(|kelvin| (kelvin * 1e3 * PER_MILLIKELVIN) as i32);
                     let mut lag = Lag::settled_at(from);
-                    lag.record_missed(steps);
+                    lag.record_missed_steps(steps);
                     lag.step(to, smoothing);
                     let got = f64::from(lag.value()) / PER_MILLIKELVIN / 1e3;
                     let steps = f64::from(steps) + 1.0;
@@ -301,8 +301,8 @@ mod tests {
             for _ in 0..=steps {
                 one_by_one.step(7_000_000, smoothing);
             }
-            at_once.record_missed(steps / 3);
-            at_once.record_missed(steps - steps / 3);
+            at_once.record_missed_steps(steps / 3);
+            at_once.record_missed_steps(steps - steps / 3);
             at_once.step(7_000_000, smoothing);
             let apart = one_by_one.value().abs_diff(at_once.value());
             assert!(apart <= 8, "{steps} steps: {apart} apart");
@@ -310,7 +310,7 @@ mod tests {
         // However long, it arrives and goes no further.
         for smoothing in [1, 429, u32::MAX - 1, u32::MAX] {
             let mut lag = Lag::settled_at(i32::MIN);
-            lag.record_missed(u32::MAX);
+            lag.record_missed_steps(u32::MAX);
             lag.step(i32::MAX, SmoothingFactor(smoothing));
             assert!(lag.value() > i32::MIN && lag.missed_steps() == 0);
         }

@@ -26,16 +26,16 @@ use crate::{
 };
 
 /// The parts: growth of the spindle, expansion of X, Y and Z, zero of the growth.
-pub const PART_COUNT: usize = 5;
+pub const LEARNED_PART_COUNT: usize = 5;
 /// The place of the zero among them.
-pub const ZERO_PART: usize = 4;
+pub const ZERO_PART_INDEX: usize = 4;
 /// 10⁻⁵ in Q32.
 const CHANGE_UNIT_Q32: i32 = 42_950;
 
 /// A requested change of a part of the correction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ChangeRequest {
-    /// Which part, 1…5 in the order of [`PART_COUNT`]; 0: nothing is requested.
+pub struct LearnedChangeRequest {
+    /// Which part, 1…5 in the order of [`LEARNED_PART_COUNT`]; 0: nothing is requested.
     pub part: u8,
     /// By this much is it to be more: in 10⁻⁵ of itself, the zero in nm.
     pub amount: i16,
@@ -43,7 +43,7 @@ pub struct ChangeRequest {
     pub calibration: u16,
 }
 
-/// Returns how a [`ChangeRequest`] names the calibration with this CRC.
+/// Returns how a [`LearnedChangeRequest`] names the calibration with this CRC.
 #[must_use]
 pub const fn calibration_id(crc: u32) -> u16 {
     let [low, high, ..] = crc.to_le_bytes();
@@ -70,7 +70,7 @@ impl LearnedLimits {
     pub fn max_change(self, part: usize) -> u16 {
         let cap = match part {
             0 => self.growth,
-            ZERO_PART => self.zero,
+            ZERO_PART_INDEX => self.zero,
             _ => self.axes,
         };
         u16::from(cap).saturating_mul(Self::CHANGE_UNITS_PER_LIMIT_UNIT)
@@ -80,13 +80,13 @@ impl LearnedLimits {
 /// The requested changes, and how far each has come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LearnedChanges {
-    goal: [i16; PART_COUNT],
-    now: [i16; PART_COUNT],
+    goal: [i16; LEARNED_PART_COUNT],
+    now: [i16; LEARNED_PART_COUNT],
 }
 
 impl LearnedChanges {
     /// Takes what is requested; whether it was: there is such a part, and its cap permits it.
-    pub fn request(&mut self, change: ChangeRequest, caps: LearnedLimits) -> bool {
+    pub fn request(&mut self, change: LearnedChangeRequest, caps: LearnedLimits) -> bool {
         let part = usize::from(change.part).wrapping_sub(1);
         match self.goal.get_mut(part) {
             Some(goal) if change.amount.unsigned_abs() <= caps.max_change(part) => {
@@ -112,18 +112,18 @@ impl LearnedChanges {
 
     /// Returns how far each part has come, in its units.
     #[must_use]
-    pub const fn current(&self) -> [i16; PART_COUNT] {
+    pub const fn current_amounts(&self) -> [i16; LEARNED_PART_COUNT] {
         self.now
     }
 
     /// Returns the growth of the spindle with what was learned of it.
     ///
     /// ```
-    /// use trueup_core::{learned::{LearnedLimits, ChangeRequest, LearnedChanges}, units::Nanometres};
+    /// use trueup_core::{learned::{LearnedLimits, LearnedChangeRequest, LearnedChanges}, units::Nanometres};
     /// let mut learned = LearnedChanges::default();
     /// let caps = LearnedLimits { growth: 20, axes: 0, zero: 0 };
     /// // 1 % more of the growth: a thousand units, 100 s.
-    /// assert!(learned.request(ChangeRequest { part: 1, amount: 1_000, calibration: 0 }, caps));
+    /// assert!(learned.request(LearnedChangeRequest { part: 1, amount: 1_000, calibration: 0 }, caps));
     /// (0..1_000).for_each(|_| learned.step(0));
     /// assert_eq!(learned.apply_to_growth(Nanometres(50_000)), Nanometres(50_500));
     /// ```
@@ -161,8 +161,8 @@ mod tests {
 
     const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 250, axes: 100, zero: 200 };
 
-    fn change(part: u8, amount: i16) -> ChangeRequest {
-        ChangeRequest { part, amount, calibration: 0 }
+    fn change(part: u8, amount: i16) -> LearnedChangeRequest {
+        LearnedChangeRequest { part, amount, calibration: 0 }
     }
 
     #[test]
@@ -214,20 +214,22 @@ mod tests {
                 && learned.request(change(5, 4), LEARNED_LIMITS)
         );
         for step in 1..=10 {
-            (0..=PART_COUNT).for_each(|part| learned.step(part));
-            assert_eq!(learned.current(), [0, 0, (-step).max(-7), 0, step.min(4)]);
+            (0..=LEARNED_PART_COUNT).for_each(|part| learned.step(part));
+            assert_eq!(learned.current_amounts(), [0, 0, (-step).max(-7), 0, step.min(4)]);
         }
         assert!(learned.request(change(3, 0), LEARNED_LIMITS));
         (0..6).for_each(|_| learned.step(2));
-        assert_eq!(learned.current(), [0, 0, -1, 0, 4]);
+        assert_eq!(learned.current_amounts(), [0, 0, -1, 0, 4]);
     }
 
     #[test]
     fn a_share_is_that_of_the_real_numbers_over_the_whole_range() {
         let mut worst: f64 = 0.0;
         for share in [-25_000, -1, 1, 333, 25_000] {
-            let learned =
-                LearnedChanges { goal: [0; PART_COUNT], now: [share, share, share, share, 0] };
+            let learned = LearnedChanges {
+                goal: [0; LEARNED_PART_COUNT],
+                now: [share, share, share, share, 0],
+            };
             for length in (-4_000_000..=4_000_000).step_by(997) {
                 let exact = f64::from(length) * (1.0 + f64::from(share) * 1e-5);
                 let growth = f64::from(learned.apply_to_growth(Nanometres(length)).0);
@@ -236,7 +238,7 @@ mod tests {
         }
         assert!(worst <= 0.5 + 1e-9, "beside 2 millionths only the rounding: {worst}");
         // 14.21 µm/m·K, 19 K, at 1 m: 269.99 µm; 2 % more is 5.4 µm.
-        let learned = LearnedChanges { goal: [0; PART_COUNT], now: [0, 2_000, 0, 0, 0] };
+        let learned = LearnedChanges { goal: [0; LEARNED_PART_COUNT], now: [0, 2_000, 0, 0, 0] };
         let expansion = learned.apply_to_expansion(0, Nanometres(269_990).to_fine());
         assert_eq!(expansion.rounded(), Nanometres(275_390));
         assert_eq!(

@@ -4,7 +4,7 @@ use crate::{learned::LearnedLimits, units::Nanometres};
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct CompensationLimits {
     /// The largest offset on X, Y and Z, either way; at least 0.
     pub max: [Nanometres; 3],
     /// The fastest change of an offset in nanometres a second, on each axis.
@@ -73,7 +73,7 @@ impl AppliedOffset {
     /// ```
     pub fn step(
         &mut self,
-        limits: &Limits,
+        limits: &CompensationLimits,
         target: [Nanometres; 3],
         elapsed_ms: u32,
     ) -> LimitStatus {
@@ -179,7 +179,7 @@ impl MaxStep {
 mod tests {
     use super::*;
 
-    const LIMITS: Limits = Limits {
+    const LIMITS: CompensationLimits = CompensationLimits {
         max: [Nanometres(1_000), Nanometres(2_000), Nanometres(3_000)],
         slew_nm_per_s: 500,
         link_timeout_ms: 500,
@@ -209,7 +209,8 @@ mod tests {
         for (slew_nm_per_s, elapsed_ms) in
             [(1, 1), (68, 1), (999, 1), (1_000, 1), (1_001, 7), (499_999, 1), (u32::MAX, u32::MAX)]
         {
-            let limits = Limits { max: [Nanometres(i32::MAX); 3], slew_nm_per_s, ..LIMITS };
+            let limits =
+                CompensationLimits { max: [Nanometres(i32::MAX); 3], slew_nm_per_s, ..LIMITS };
             let reach = (u64::from(slew_nm_per_s) * u64::from(elapsed_ms)).min(1 << 62) as i64;
             let mut applied = AppliedOffset::default();
             let mut expected = [0; 3];
@@ -242,7 +243,11 @@ mod tests {
 
     #[test]
     fn no_limit_and_no_target_make_it_wrap() {
-        let wild = Limits { max: [Nanometres(i32::MIN); 3], slew_nm_per_s: u32::MAX, ..LIMITS };
+        let wild = CompensationLimits {
+            max: [Nanometres(i32::MIN); 3],
+            slew_nm_per_s: u32::MAX,
+            ..LIMITS
+        };
         let mut applied = AppliedOffset::default();
         applied.step(&wild, [Nanometres(i32::MIN); 3], u32::MAX);
         assert!(applied.is_zero(), "a negative clamp permits nothing");

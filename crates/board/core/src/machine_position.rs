@@ -2,7 +2,7 @@
 
 use crate::{
     cnc::LinearAxis,
-    travel::{Fraction, ReversalTracker},
+    reversal::{Fraction, ReversalTracker},
     units::{MicroDegrees, Position},
 };
 

@@ -6,14 +6,14 @@
 //!
 //! The number comes from one 32-bit division, w (Q31) from the step's kept reciprocal. Before the
 //! first and after the last point the end value is held. A table for each direction of motion is
-//! blended by β of [`crate::travel`], and the two drives of a gantry by where across the beam the
+//! blended by β of [`crate::reversal`], and the two drives of a gantry by where across the beam the
 //! point is.
 //!
 //! Values are 1/256 nm, steps 10 nm…42 m, any number of points. Worst error against `f64`,
 //! measured by the test below over steps from 0.01 mm to 15 m and points up to ±5 mm: 0.011 nm.
 
 use crate::{
-    travel::{Fraction, Interval},
+    reversal::{Fraction, Interval},
     units::{FineNanometres, Position},
 };
 
@@ -160,7 +160,7 @@ impl PitchErrorTable<'_> {
 
 /// The beam of a gantry with two drives on one axis: where on the cross axis the drives are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Beam {
+pub struct GantryBeam {
     first: Position,
     second: Position,
     /// Whether the second drive lies in the negative direction from the first.
@@ -168,7 +168,7 @@ pub struct Beam {
     distance: Interval,
 }
 
-impl Beam {
+impl GantryBeam {
     /// Drives at `first` and `second`; at one place there is only the first.
     ///
     /// Costs some hundred instructions: meant for loading, not for every tick.
@@ -383,7 +383,7 @@ mod tests {
     #[test]
     fn across_the_beam_the_error_goes_from_one_drive_to_the_other() {
         for (first, second) in [(0, 3_000), (3_000, 0), (-1_000, 2_000), (-15_000, 15_000)] {
-            let beam = Beam::new(Position(first * MM), Position(second * MM));
+            let beam = GantryBeam::new(Position(first * MM), Position(second * MM));
             for y in (-16_000..16_000).step_by(250) {
                 let w = f64::from(y - first) / f64::from(second - first);
                 let requested = 2_000.0 + 4_000.0 * w.clamp(0.0, 1.0);
@@ -398,14 +398,14 @@ mod tests {
                 );
             }
         }
-        let nowhere = Beam::new(Position(5), Position(5));
+        let nowhere = GantryBeam::new(Position(5), Position(5));
         for y in [i32::MIN, 4, 5, 6, i32::MAX] {
             assert_eq!(
                 nowhere.interpolate(FineNanometres(1), FineNanometres(3), Position(y)),
                 FineNanometres(1)
             );
         }
-        let widest = Beam::new(Position(i32::MAX), Position(i32::MIN));
+        let widest = GantryBeam::new(Position(i32::MAX), Position(i32::MIN));
         assert_eq!(widest.interpolation_weight(Position(i32::MIN)), Fraction::ONE);
         assert_eq!(widest.interpolation_weight(Position(i32::MAX)), Fraction::ZERO);
     }
@@ -424,7 +424,7 @@ mod tests {
             let pitch =
                 PitchErrorTable { start: Position(position(any())), step, forward, reverse };
             let _ = pitch.error_at(Position(position(any())), Fraction(any()));
-            let beam = Beam::new(Position(position(any())), Position(position(any())));
+            let beam = GantryBeam::new(Position(position(any())), Position(position(any())));
             let _ = beam.interpolate(
                 FineNanometres(any() as i32),
                 FineNanometres(any() as i32),

@@ -79,12 +79,14 @@ const fn round_to_nearest(value: f64) -> i32 {
 /// Returns the cubic through the equation at 0, ¼, ¾ and 1 of the piece that begins at `start` µΩ.
 const fn fit_cubic(start: f64) -> CubicCoefficients {
     const UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
-    const WIDTH: f64 = (1 << PIECE_WIDTH_BITS) as f64;
+    const PIECE_WIDTH_MICRO_OHMS: f64 = (1 << PIECE_WIDTH_BITS) as f64;
     const R0_MICRO_OHMS: f64 = R0.0 as f64;
     let y0 = solve_temperature(start / R0_MICRO_OHMS) * UNITS_PER_KELVIN;
-    let y1 = solve_temperature((start + 0.25 * WIDTH) / R0_MICRO_OHMS) * UNITS_PER_KELVIN;
-    let y2 = solve_temperature((start + 0.75 * WIDTH) / R0_MICRO_OHMS) * UNITS_PER_KELVIN;
-    let y3 = solve_temperature((start + WIDTH) / R0_MICRO_OHMS) * UNITS_PER_KELVIN;
+    let y1 = solve_temperature((start + 0.25 * PIECE_WIDTH_MICRO_OHMS) / R0_MICRO_OHMS)
+        * UNITS_PER_KELVIN;
+    let y2 = solve_temperature((start + 0.75 * PIECE_WIDTH_MICRO_OHMS) / R0_MICRO_OHMS)
+        * UNITS_PER_KELVIN;
+    let y3 = solve_temperature((start + PIECE_WIDTH_MICRO_OHMS) / R0_MICRO_OHMS) * UNITS_PER_KELVIN;
     // Newton's divided differences on 0, ¼, ¾, 1 …
     let (d01, d12, d23) = ((y1 - y0) / 0.25, (y2 - y1) / 0.5, (y3 - y2) / 0.25);
     let (d012, d123) = ((d12 - d01) / 0.75, (d23 - d12) / 0.75);

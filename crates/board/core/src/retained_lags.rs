@@ -9,7 +9,7 @@
 //! time: nothing is inlined.
 
 use crate::{
-    dimensions::MAX_TERMS,
+    design_parameters::MAX_TERMS,
     lag::{Lag, SmoothingFactor},
     term::SpeedExponent,
 };
@@ -69,7 +69,7 @@ pub struct RetainedLags {
 }
 
 impl RetainedLag {
-    /// Returns the same after this many steps of [`THERMAL_STEP_MS`](crate::dimensions::THERMAL_STEP_MS) without power: the spindle
+    /// Returns the same after this many steps of [`THERMAL_STEP_MS`](crate::design_parameters::THERMAL_STEP_MS) without power: the spindle
     /// stood, and what had grown since the start went back as fast. A lag of a temperature makes up for them with
     /// the first reading that it sees. The same at once after none: a reset is no stop.
     #[must_use]
@@ -84,7 +84,7 @@ impl RetainedLag {
                 self.lag.follow(0, self.key.falling, steps);
                 self.running_ms = 0;
             }
-            _ => self.lag.record_missed(steps),
+            _ => self.lag.record_missed_steps(steps),
         }
         self
     }

@@ -93,7 +93,7 @@ impl RevolutionMean {
     #[must_use]
     #[inline]
     pub fn has_full_revolution(&self, window: RevolutionWindow) -> bool {
-        self.filled >= window.samples_rounded_up() as usize
+        self.filled >= window.covering_sample_count() as usize
     }
 
     /// Returns the mean over the last revolution, or `None` while a whole one has not been seen.

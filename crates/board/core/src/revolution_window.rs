@@ -96,7 +96,7 @@ impl RevolutionWindow {
 
     /// Returns how many samples it takes to cover it.
     #[must_use]
-    pub const fn samples_rounded_up(self) -> u32 {
+    pub const fn covering_sample_count(self) -> u32 {
         self.width.wrapping_add(0xFFFF) >> 16
     }
 

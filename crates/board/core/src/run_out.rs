@@ -17,15 +17,15 @@
 //! deviations away.
 
 use crate::{
-    dimensions::CODES_PER_TICK,
-    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Rpm},
+    design_parameters::CODES_PER_TICK,
+    units::{AdcCode, READING_UNITS_PER_CODE, Rpm, SensorReading},
 };
 
 #[allow(clippy::cast_possible_truncation, reason = "20")]
 const CODES_PER_TICK_U32: u32 = CODES_PER_TICK as u32;
-const WINDOW_MS_LOG2: u32 = 10;
+const RUN_OUT_WINDOW_MS_LOG2: u32 = 10;
 /// Milliseconds of a mean.
-pub const WINDOW_MS: u16 = 1 << WINDOW_MS_LOG2;
+pub const RUN_OUT_WINDOW_MS: u16 = 1 << RUN_OUT_WINDOW_MS_LOG2;
 /// Minimum number of means: a spindle may need as long to reach its speed.
 pub const MIN_BASELINE_WINDOWS: u8 = 16;
 /// An amplitude of half the family's or less is a quarter of its square.
@@ -63,7 +63,12 @@ impl RunOutMonitor {
 
     /// Takes a millisecond of codes of a spindle that turns, and the reading at its end.
     #[inline]
-    pub fn receive(&mut self, codes: &[AdcCode; CODES_PER_TICK], reading: Reading, speed: Rpm) {
+    pub fn receive(
+        &mut self,
+        codes: &[AdcCode; CODES_PER_TICK],
+        reading: SensorReading,
+        speed: Rpm,
+    ) {
         if speed != self.speed {
             self.restart_baseline(speed);
         }
@@ -77,7 +82,7 @@ impl RunOutMonitor {
         let square = u64::from(deviation).wrapping_mul(u64::from(deviation));
         self.squares = self.squares.wrapping_add(square);
         self.count = self.count.wrapping_add(1);
-        if self.count >= WINDOW_MS {
+        if self.count >= RUN_OUT_WINDOW_MS {
             self.evaluate_window();
         }
     }
@@ -97,7 +102,7 @@ impl RunOutMonitor {
     #[cold]
     #[inline(never)]
     fn evaluate_window(&mut self) {
-        let mean = u32::try_from(self.squares >> WINDOW_MS_LOG2).unwrap_or(u32::MAX);
+        let mean = u32::try_from(self.squares >> RUN_OUT_WINDOW_MS_LOG2).unwrap_or(u32::MAX);
         (self.squares, self.count) = (0, 0);
         if self.windows < MIN_BASELINE_WINDOWS {
             self.windows = self.windows.saturating_add(1);
@@ -128,7 +133,7 @@ mod tests {
             if speed == Rpm(0) {
                 it.record_standstill();
             } else {
-                it.receive(&codes, Reading(700 * READING_UNITS_PER_CODE), speed);
+                it.receive(&codes, SensorReading(700 * READING_UNITS_PER_CODE), speed);
             }
         }
         it.is_anomalous()
@@ -175,13 +180,13 @@ mod tests {
         for hz in [163.934, 200.0, 325.0, 400.0].map(|hz| hz + 1.0 / 600.0) {
             for eighth in 0..8 {
                 let mut it = RunOutMonitor::default();
-                for ms in 0..200 * u32::from(WINDOW_MS) {
+                for ms in 0..200 * u32::from(RUN_OUT_WINDOW_MS) {
                     let at = |n: usize| hz * (f64::from(ms) + n as f64 / 20.0) / 1e3;
                     let turns = |n| at(n) + f64::from(eighth) / 16.0;
                     let codes = core::array::from_fn(|n| {
                         AdcCode((700.0 + 10.0 * (turns(n) * core::f64::consts::TAU).sin()) as u16)
                     });
-                    it.receive(&codes, Reading(700 * READING_UNITS_PER_CODE), SPEED);
+                    it.receive(&codes, SensorReading(700 * READING_UNITS_PER_CODE), SPEED);
                     assert!(!it.is_anomalous(), "{hz} Hz, {eighth}/8, {ms} ms");
                 }
             }
@@ -212,8 +217,8 @@ mod tests {
     fn the_whole_range_of_codes_does_not_wrap() {
         let mut it = RunOutMonitor::default();
         turn(&mut it, 20, 10.0, 200.0, SPEED);
-        for _ in 0..2 * WINDOW_MS {
-            it.receive(&[AdcCode(4095); CODES_PER_TICK], Reading(0), SPEED);
+        for _ in 0..2 * RUN_OUT_WINDOW_MS {
+            it.receive(&[AdcCode(4095); CODES_PER_TICK], SensorReading(0), SPEED);
         }
         assert!(it.is_anomalous());
     }

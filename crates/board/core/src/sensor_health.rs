@@ -26,7 +26,7 @@
 //! counter for single codes and goes to the filter where it lies: 304 instructions (`cargo
 //! measure`), where counters for each code took 1,023.
 
-use crate::{dimensions::CODES_PER_TICK, units::AdcCode};
+use crate::{design_parameters::CODES_PER_TICK, units::AdcCode};
 
 /// Codes up to here are at the lower rail: 20 mV of 10 V.
 pub const LOW_RAIL: AdcCode = AdcCode(8);
@@ -148,7 +148,7 @@ impl SensorHealth {
     /// Looks at one tick of codes; `turns`: the spindle does, so that run-out must show. Gives the codes for the filter, spikes replaced, or `None`
     /// while the sensor cannot be believed.
     #[inline(never)]
-    pub fn check<'c>(
+    pub fn check_codes<'c>(
         &'c mut self,
         codes: &'c [AdcCode; CODES_PER_TICK],
         turns: bool,

@@ -1,16 +1,18 @@
 //! The temperature channels of a board: the last good reading of each, until it is given up.
 
 use crate::{
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     freeze_detector::FreezeDetector,
     index_set::IndexSet,
-    thermal_rate::{MAX_DISAGREEMENT, RateLimit, RateMonitor},
-    thermometer::{FAULT_AFTER_READINGS, RawReading, ThermometerFault},
+    temperature_rate::{
+        MAX_TEMPERATURE_DISAGREEMENT, TemperatureRateLimit, TemperatureRateMonitor,
+    },
+    thermometer::{FAULT_AFTER_READINGS, RawTemperatureReading, ThermometerFault},
     units::Temperature,
 };
 
 /// The raw readings of all channels of a board at one time.
-pub type RawTemperatures = [RawReading; CHANNEL_COUNT];
+pub type RawTemperatures = [RawTemperatureReading; TEMPERATURE_CHANNEL_COUNT];
 
 /// From one reading to the next no thermometer moves by more: its element follows what it touches with a
 /// time constant of a second or more (a sheathed PT100 in flowing water; on a machine's part it is slower), and what
@@ -27,7 +29,7 @@ pub struct TemperatureChannel {
     /// How many have agreed with the one before since the start, up to [`FAULT_AFTER_READINGS`]; a channel that was
     /// given up counts as one of which all have.
     agreed: u8,
-    rate: RateMonitor,
+    rate: TemperatureRateMonitor,
 }
 
 impl TemperatureChannel {
@@ -35,7 +37,7 @@ impl TemperatureChannel {
     pub fn receive(&mut self, reading: Option<Temperature>) {
         self.receive_rate_limited_reading(
             reading.ok_or(ThermometerFault::Missing),
-            &RateLimit::default(),
+            &TemperatureRateLimit::default(),
             false,
         );
     }
@@ -49,7 +51,7 @@ impl TemperatureChannel {
     pub fn receive_rate_limited_reading(
         &mut self,
         reading: Result<Temperature, ThermometerFault>,
-        limit: &RateLimit,
+        limit: &TemperatureRateLimit,
         agrees: bool,
     ) {
         // The mean of 20 ms at a rail is no spark.
@@ -65,7 +67,7 @@ impl TemperatureChannel {
         };
         let follows = match reading {
             None => {
-                self.rate.record_missed();
+                self.rate.record_missed_reading();
                 false
             }
             Some(now) if is_new => {
@@ -126,8 +128,8 @@ impl TemperatureChannel {
 /// The temperature channels of a board.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TemperatureChannels {
-    channels: [TemperatureChannel; CHANNEL_COUNT],
-    stillness: [FreezeDetector; CHANNEL_COUNT],
+    channels: [TemperatureChannel; TEMPERATURE_CHANNEL_COUNT],
+    stillness: [FreezeDetector; TEMPERATURE_CHANNEL_COUNT],
     known: IndexSet,
     faulty: IndexSet,
     doubtful: IndexSet,
@@ -135,22 +137,22 @@ pub struct TemperatureChannels {
 }
 
 impl TemperatureChannels {
-    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited`].
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited_reading`].
     pub fn receive(&mut self, number: usize, reading: Option<Temperature>) {
-        self.receive_rate_limited(
+        self.receive_rate_limited_reading(
             number,
             reading.ok_or(ThermometerFault::Missing),
-            &RateLimit::default(),
+            &TemperatureRateLimit::default(),
         );
     }
 
     /// Takes what the thermometer of a channel reads, as [`TemperatureChannel::receive_rate_limited_reading`]. One that has stopped while another has not
     /// reads nothing that could be believed ([`FreezeDetector`]). Returns the temperature that is believed now.
-    pub fn receive_rate_limited(
+    pub fn receive_rate_limited_reading(
         &mut self,
         number: usize,
         reading: Result<Temperature, ThermometerFault>,
-        limit: &RateLimit,
+        limit: &TemperatureRateLimit,
     ) -> Option<Temperature> {
         let stillness = self.stillness.get_mut(number)?;
         stillness.receive(reading.ok());
@@ -176,7 +178,7 @@ impl TemperatureChannels {
         partners != IndexSet::default()
             && self.channels.iter().enumerate().any(|(number, partner)| {
                 let near = |temperature: Temperature| {
-                    temperature.0.abs_diff(now.0) <= MAX_DISAGREEMENT.0.unsigned_abs()
+                    temperature.0.abs_diff(now.0) <= MAX_TEMPERATURE_DISAGREEMENT.0.unsigned_abs()
                 };
                 partners.contains(number) && partner.before.is_some_and(near)
             })
@@ -190,7 +192,7 @@ impl TemperatureChannels {
 
     /// Returns all of them.
     #[must_use]
-    pub fn temperatures(&self) -> [Option<Temperature>; CHANNEL_COUNT] {
+    pub fn temperatures(&self) -> [Option<Temperature>; TEMPERATURE_CHANNEL_COUNT] {
         self.channels.map(|channel| channel.temperature())
     }
 

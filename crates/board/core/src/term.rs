@@ -1,5 +1,5 @@
 //! The terms that a diagnosis has added to the machine's model: up to
-//! [`MAX_TERMS`](crate::dimensions::MAX_TERMS), in their order.
+//! [`MAX_TERMS`](crate::design_parameters::MAX_TERMS), in their order.
 //!
 //! A term of the elongation gives p a new value; one of an axis adds to its error:
 //!
@@ -17,7 +17,7 @@
 //! f is 1, n², P, or the growth by the source's own law, and s is 1 while the condition holds (`category`).
 //! A table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt) are added as well.
 //! Each also adds a constant. β is the fraction of the approach
-//! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point
+//! in the negative direction ([`travel`](crate::reversal)). m is a number with its own binary point
 //! ([`ScaledCoefficient`](crate::fixed_point::ScaledCoefficient)), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
 //! 100 ms with the rest of the heat; the others are computed where they are needed.
 //!
@@ -25,19 +25,19 @@
 //! coefficients: half of that unit for each product, and 0.004 nm for a wave of 100 µm.
 
 mod category;
+mod combined_effect;
 mod effect;
 mod evaluation_order;
-mod states;
-mod sum;
+mod term_states;
 #[cfg(test)]
 mod tests;
 mod tilt;
 
 pub use category::{CategoryFactor, ConditionLevels, ToolTable, UNIT_STEP};
+pub use combined_effect::{OperatingPoint, apply_elongation_terms, compute_axis_errors};
 pub use effect::{
     Effect, HEAT_SLOPE_BITS, SpeedExponent, Target, Term, Terms, thermal_term_indices,
 };
-pub use evaluation_order::{category_factor, elongation_term_count};
-pub use states::TermStates;
-pub use sum::{OperatingPoint, apply_elongation_terms, compute_axis_errors};
+pub use evaluation_order::{category_factor, elongation_term_prefix_length};
+pub use term_states::TermStates;
 pub use tilt::{REFERENCE_LEVER, Tilt};

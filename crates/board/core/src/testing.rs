@@ -2,9 +2,9 @@
 
 use crate::{
     calibration::{Calibration, MachineIdentity},
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     kinematics::Kinematics,
-    limits::Limits,
+    limits::CompensationLimits,
     tool_direction::ToolDirection,
     units::{Nanometres, Temperature},
 };
@@ -18,7 +18,7 @@ pub fn next_random(seed: &mut u64) -> u32 {
 /// Returns a machine with nothing but limits.
 pub fn minimal_calibration() -> Calibration<'static> {
     Calibration {
-        thermometers: [None; CHANNEL_COUNT],
+        thermometers: [None; TEMPERATURE_CHANNEL_COUNT],
         spindle: Default::default(),
         kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
         axes: Default::default(),
@@ -26,7 +26,7 @@ pub fn minimal_calibration() -> Calibration<'static> {
         squareness: Default::default(),
         volume: None,
         terms: Default::default(),
-        limits: Limits {
+        limits: CompensationLimits {
             max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],
             slew_nm_per_s: 1_000_000,
             link_timeout_ms: 500,

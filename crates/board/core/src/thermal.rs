@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Bytes of a piece.
-pub const LAW_SEGMENT_SIZE: usize = 20;
+pub const THERMAL_LAW_SEGMENT_SIZE: usize = 20;
 /// Binary places of the temperature unit in which slopes are given: 2²² units are 1.024 K.
 pub const SLOPE_UNIT_BITS: u32 = 22;
 /// Binary places of a slope.
@@ -29,7 +29,7 @@ pub const SLOPE_FRACTION_BITS: u32 = 4;
 
 /// Two straight lines over temperature, from `start` to the next piece's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LawSegment {
+pub struct ThermalLawSegment {
     /// Where the piece begins and the two values below hold.
     pub start: Temperature,
     /// K₀ at `start`.
@@ -42,10 +42,10 @@ pub struct LawSegment {
     pub gradient_slope: i32,
 }
 
-impl LawSegment {
+impl ThermalLawSegment {
     /// As it lies in a calibration.
     #[must_use]
-    pub fn to_bytes(&self) -> [u8; LAW_SEGMENT_SIZE] {
+    pub fn to_bytes(&self) -> [u8; THERMAL_LAW_SEGMENT_SIZE] {
         let words = [
             self.start.0,
             self.constant.0,
@@ -53,7 +53,7 @@ impl LawSegment {
             self.gradient.0,
             self.gradient_slope,
         ];
-        let mut bytes = [0; LAW_SEGMENT_SIZE];
+        let mut bytes = [0; THERMAL_LAW_SEGMENT_SIZE];
         for (four, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
             *four = word.to_le_bytes();
         }
@@ -62,7 +62,7 @@ impl LawSegment {
 
     /// Out of a calibration; any bytes are a piece.
     #[must_use]
-    pub fn from_bytes(bytes: &[u8; LAW_SEGMENT_SIZE]) -> Self {
+    pub fn from_bytes(bytes: &[u8; THERMAL_LAW_SEGMENT_SIZE]) -> Self {
         Self {
             start: Temperature(read_word(bytes, 0)),
             constant: FineNanometres(read_word(bytes, 1)),
@@ -81,15 +81,15 @@ impl LawSegment {
 }
 
 /// Returns the number `index` (0…4) of a piece.
-fn read_word(bytes: &[u8; LAW_SEGMENT_SIZE], index: usize) -> i32 {
+fn read_word(bytes: &[u8; THERMAL_LAW_SEGMENT_SIZE], index: usize) -> i32 {
     bytes.as_chunks::<4>().0.get(index).map_or(0, |four| i32::from_le_bytes(*four))
 }
 
 /// value + slope·warmer, saturating.
 fn extrapolate(value: i32, slope: i32, warmer: i64) -> i32 {
-    const SHIFT: u32 = SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS;
+    const SLOPE_SHIFT: u32 = SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS;
     // 33 bits by 32 and a half: below 2⁶³, so neither step can wrap.
-    let growth = rounding_shift_right(warmer.wrapping_mul(i64::from(slope)), SHIFT);
+    let growth = rounding_shift_right(warmer.wrapping_mul(i64::from(slope)), SLOPE_SHIFT);
     saturate_to_i32(growth.saturating_add(i64::from(value)))
 }
 
@@ -97,7 +97,7 @@ fn extrapolate(value: i32, slope: i32, warmer: i64) -> i32 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ThermalExpansionLaw<'a> {
     /// The pieces as they lie in the calibration.
-    pub pieces: &'a [[u8; LAW_SEGMENT_SIZE]],
+    pub pieces: &'a [[u8; THERMAL_LAW_SEGMENT_SIZE]],
 }
 
 impl ThermalExpansionLaw<'_> {
@@ -106,7 +106,7 @@ impl ThermalExpansionLaw<'_> {
     pub fn depends_on_position(&self) -> bool {
         self.pieces
             .iter()
-            .map(LawSegment::from_bytes)
+            .map(ThermalLawSegment::from_bytes)
             .any(|piece| piece.gradient != Gradient::ZERO || piece.gradient_slope != 0)
     }
 
@@ -117,13 +117,13 @@ impl ThermalExpansionLaw<'_> {
     /// ```
     /// use trueup_core::{
     ///     gradient::Gradient,
-    ///     thermal::{ThermalExpansionLaw, LawSegment},
+    ///     thermal::{ThermalExpansionLaw, ThermalLawSegment},
     ///     units::{FineNanometres, Position, Temperature},
     /// };
     /// let celsius = |t: i32| Temperature(t * Temperature::PER_KELVIN);
     /// // 14.21 µm/m = 1.421e-4 nm per position unit; times 2³⁶·1.024·16: 159 990 376.
     /// let slope = (1.421e-4 * f64::from(1 << 18).powi(2) * 1.024 * 16.0) as i32;
-    /// let pieces = [LawSegment { start: celsius(23), gradient_slope: slope, ..LawSegment::default() }
+    /// let pieces = [ThermalLawSegment { start: celsius(23), gradient_slope: slope, ..ThermalLawSegment::default() }
     ///     .to_bytes()];
     /// let law = ThermalExpansionLaw { pieces: &pieces };
     ///
@@ -139,7 +139,7 @@ impl ThermalExpansionLaw<'_> {
     pub fn evaluate(&self, t: Temperature) -> (FineNanometres, Gradient) {
         let after = self.pieces.partition_point(|piece| read_word(piece, 0) <= t.0);
         match self.pieces.get(after.saturating_sub(1)) {
-            Some(piece) => LawSegment::from_bytes(piece).evaluate(t),
+            Some(piece) => ThermalLawSegment::from_bytes(piece).evaluate(t),
             None => (FineNanometres::ZERO, Gradient::ZERO),
         }
     }
@@ -175,8 +175,11 @@ mod tests {
     #[test]
     fn the_papers_axis_at_42_degrees_goes_270_micrometres_too_far_in_a_metre() {
         let start = celsius(23.0);
-        let piece =
-            LawSegment { start, gradient_slope: gradient_slope(14.21), ..LawSegment::default() };
+        let piece = ThermalLawSegment {
+            start,
+            gradient_slope: gradient_slope(14.21),
+            ..ThermalLawSegment::default()
+        };
         let pieces = [piece.to_bytes()];
         let law = ThermalExpansionLaw { pieces: &pieces };
         let error = |t, from, to| {
@@ -197,8 +200,10 @@ mod tests {
     #[test]
     fn forty_kelvin_over_fifteen_metres_is_within_a_tenth_of_a_nanometre() {
         for slope in [10.0, 11.7, 14.21, 33.3, 74.9] {
-            let piece =
-                LawSegment { gradient_slope: gradient_slope(slope), ..LawSegment::default() };
+            let piece = ThermalLawSegment {
+                gradient_slope: gradient_slope(slope),
+                ..ThermalLawSegment::default()
+            };
             let pieces = [piece.to_bytes()];
             let mut worst = 0.0_f64;
             for step in -400..=400 {
@@ -218,8 +223,11 @@ mod tests {
     fn a_spindle_that_grows_with_its_temperature_uses_k0_alone() {
         // 2 µm/K from 20 °C.
         let start = celsius(20.0);
-        let piece =
-            LawSegment { start, constant_slope: constant_slope(2.0), ..LawSegment::default() };
+        let piece = ThermalLawSegment {
+            start,
+            constant_slope: constant_slope(2.0),
+            ..ThermalLawSegment::default()
+        };
         let pieces = [piece.to_bytes()];
         let mut worst = 0.0_f64;
         for step in -600..=4000 {
@@ -236,10 +244,10 @@ mod tests {
     }
 
     /// Returns a table over 10…40 °C that holds its ends.
-    fn table() -> [[u8; LAW_SEGMENT_SIZE]; 4] {
+    fn table() -> [[u8; THERMAL_LAW_SEGMENT_SIZE]; 4] {
         let um = |um: f64| FineNanometres((um * 256e3).round() as i32);
         let per_m = |um: f64| Gradient((um * PER_UM_PER_M).round() as i32);
-        let piece = |start, k0, k0_slope, gradient, slope| LawSegment {
+        let piece = |start, k0, k0_slope, gradient, slope| ThermalLawSegment {
             start: celsius(start),
             constant: um(k0),
             constant_slope: constant_slope(k0_slope),
@@ -286,10 +294,10 @@ mod tests {
         for slope in [-1_738_734_477, -77_777, -1, 0, 1, 163_001, 1_000_000_007] {
             for start in [i32::MIN, -7, 0, 94_208_000, i32::MAX] {
                 for t in (i32::MIN..=i32::MAX).step_by(7_654_321) {
-                    let piece = LawSegment {
+                    let piece = ThermalLawSegment {
                         start: Temperature(start),
                         constant_slope: slope,
-                        ..LawSegment::default()
+                        ..ThermalLawSegment::default()
                     };
                     let got = ThermalExpansionLaw { pieces: &[piece.to_bytes()] }
                         .evaluate(Temperature(t))
@@ -314,7 +322,7 @@ mod tests {
             for slope in ends {
                 for start in ends {
                     for t in ends {
-                        let piece = LawSegment {
+                        let piece = ThermalLawSegment {
                             start: Temperature(start),
                             constant: FineNanometres(value),
                             constant_slope: slope,
@@ -346,7 +354,7 @@ mod tests {
         for t in [i32::MIN, 0, i32::MAX] {
             let _ = ThermalExpansionLaw { pieces: &pieces }.evaluate(Temperature(t));
             let _ = ThermalExpansionLaw {
-                pieces: &[[0xff; LAW_SEGMENT_SIZE], [0x80; LAW_SEGMENT_SIZE]],
+                pieces: &[[0xff; THERMAL_LAW_SEGMENT_SIZE], [0x80; THERMAL_LAW_SEGMENT_SIZE]],
             }
             .evaluate(Temperature(t));
         }
@@ -354,7 +362,7 @@ mod tests {
 
     #[test]
     fn bytes_are_little_endian_and_come_back() {
-        let piece = LawSegment {
+        let piece = ThermalLawSegment {
             start: Temperature(0x0403_0201),
             constant: FineNanometres(-2),
             constant_slope: i32::MIN,
@@ -366,20 +374,21 @@ mod tests {
             bytes,
             [1, 2, 3, 4, 254, 255, 255, 255, 0, 0, 0, 128, 5, 6, 7, 8, 255, 255, 255, 127]
         );
-        assert_eq!(LawSegment::from_bytes(&bytes), piece);
+        assert_eq!(ThermalLawSegment::from_bytes(&bytes), piece);
     }
 
     #[test]
     fn a_law_depends_on_the_position_where_a_gradient_or_its_slope_is_not_0() {
         for (gradient, gradient_slope, depends) in [(0, 0, false), (1, 0, true), (0, -1, true)] {
-            let piece = LawSegment {
+            let piece = ThermalLawSegment {
                 start: Temperature(0),
                 constant: FineNanometres(5),
                 constant_slope: 5,
                 gradient: Gradient(gradient),
                 gradient_slope,
             };
-            let pieces = [LawSegment { gradient: Gradient(0), gradient_slope: 0, ..piece }, piece];
+            let pieces =
+                [ThermalLawSegment { gradient: Gradient(0), gradient_slope: 0, ..piece }, piece];
             let pieces = pieces.map(|piece| piece.to_bytes());
             assert_eq!(ThermalExpansionLaw { pieces: &pieces }.depends_on_position(), depends);
         }

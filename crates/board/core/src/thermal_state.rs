@@ -1,6 +1,6 @@
 //! The effects of the machine's temperatures and its running time: a slow part of the bridge.
 //!
-//! Heat is slow, so this steps every 100 ms ([`THERMAL_STEP_MS`](crate::dimensions::THERMAL_STEP_MS)) and keeps what
+//! Heat is slow, so this steps every 100 ms ([`THERMAL_STEP_MS`](crate::design_parameters::THERMAL_STEP_MS)) and keeps what
 //! the fast tick needs: K₀ and tanβ of each axis, and the elongation of the spindle by temperature
 //! and by running time. Between steps only the position moves: ΔK = K₀ + tanβ·(P − P₀).
 //!
@@ -10,7 +10,7 @@
 use crate::{
     calibration::Calibration,
     cnc::MachineConditions,
-    dimensions::{CHANNEL_COUNT, MAX_TERMS},
+    design_parameters::{MAX_TERMS, TEMPERATURE_CHANNEL_COUNT},
     gradient::Gradient,
     index_set::IndexSet,
     lag::{Lag, SmoothingFactor},
@@ -87,7 +87,7 @@ impl MachineThermalState {
     pub fn step(
         &mut self,
         calibration: &Calibration<'_>,
-        temperatures: &[Option<Temperature>; CHANNEL_COUNT],
+        temperatures: &[Option<Temperature>; TEMPERATURE_CHANNEL_COUNT],
         speed: Option<Rpm>,
     ) {
         for item in 0..THERMAL_ITEM_COUNT {
@@ -100,7 +100,7 @@ impl MachineThermalState {
         &mut self,
         calibration: &Calibration<'_>,
         item: usize,
-        temperatures: &[Option<Temperature>; CHANNEL_COUNT],
+        temperatures: &[Option<Temperature>; TEMPERATURE_CHANNEL_COUNT],
         speed: Option<Rpm>,
     ) {
         if let (Some(heat), Some(axis)) = (self.axes.get_mut(item), calibration.axes.get(item)) {
@@ -227,7 +227,13 @@ impl MachineThermalState {
     /// The terms over time have begun this many steps ago.
     pub fn advance_time_terms(&mut self, calibration: &Calibration<'_>, term: usize, steps: u32) {
         for _ in 0..steps {
-            self.terms.step(&calibration.terms, term, &[None; CHANNEL_COUNT], None, true);
+            self.terms.step(
+                &calibration.terms,
+                term,
+                &[None; TEMPERATURE_CHANNEL_COUNT],
+                None,
+                true,
+            );
         }
     }
 
@@ -304,7 +310,7 @@ fn lag_key(input: u8, rising: SmoothingFactor, falling: SmoothingFactor) -> Opti
 
 /// Returns the temperature of a channel.
 fn channel_temperature(
-    temperatures: &[Option<Temperature>; CHANNEL_COUNT],
+    temperatures: &[Option<Temperature>; TEMPERATURE_CHANNEL_COUNT],
     number: u8,
 ) -> Option<Temperature> {
     temperatures.get(usize::from(number)).copied().flatten()
@@ -357,9 +363,9 @@ mod tests {
             power: Default::default(),
         });
         let mut heat = MachineThermalState::default();
-        heat.step(&calibration, &[None; CHANNEL_COUNT], Some(Rpm(1_000)));
+        heat.step(&calibration, &[None; TEMPERATURE_CHANNEL_COUNT], Some(Rpm(1_000)));
         assert_eq!(heat.warmup_elongation(), Nanometres(30_000));
-        heat.step(&calibration, &[None; CHANNEL_COUNT], Some(Rpm(0)));
+        heat.step(&calibration, &[None; TEMPERATURE_CHANNEL_COUNT], Some(Rpm(0)));
         assert_eq!(heat.warmup_elongation(), Nanometres(0));
     }
 }

@@ -13,7 +13,7 @@ use crate::{
     fixed_point::rounding_shift_right,
     pt100,
     sensor_health::{HIGH_RAIL, LOW_RAIL},
-    supply::SupplyScale,
+    supply_monitor::SupplyScale,
     units::{MicroOhms, Temperature},
 };
 
@@ -22,15 +22,15 @@ pub const FAULT_AFTER_READINGS: u8 = 4;
 
 /// A raw reading of a temperature channel: micro-ohms of a PT100, 1/256 counts of a linear chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RawReading(pub i32);
+pub struct RawTemperatureReading(pub i32);
 
-impl Default for RawReading {
+impl Default for RawTemperatureReading {
     fn default() -> Self {
         Self::NONE
     }
 }
 
-impl RawReading {
+impl RawTemperatureReading {
     /// The channel has nothing to deliver: no converter, no answer, not yet measured.
     pub const NONE: Self = Self(i32::MIN);
 }
@@ -38,7 +38,7 @@ impl RawReading {
 /// Why a channel has no temperature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThermometerFault {
-    /// Nothing came: [`RawReading::NONE`].
+    /// Nothing came: [`RawTemperatureReading::NONE`].
     Missing,
     /// The resistance is above that of any temperature in range: a broken wire.
     Open,
@@ -73,7 +73,7 @@ pub enum Thermometer {
         /// Temperature units per 1/256 count, times 2^`shift`; negative where counts fall as it
         /// grows warmer.
         slope: i32,
-        /// Binary places of `slope`, at most [`Thermometer::MAX_SHIFT`]; more count as that many.
+        /// Binary places of `slope`, at most [`Thermometer::MAX_SLOPE_SHIFT`]; more count as that many.
         shift: u8,
     },
 }
@@ -82,7 +82,7 @@ impl Thermometer {
     /// A linear chain beyond this, either way, is a fault.
     pub const MAX_ABS_TEMPERATURE: Temperature = Temperature(500 * Temperature::PER_KELVIN);
     /// The most binary places of a slope.
-    pub const MAX_SHIFT: u8 = 31;
+    pub const MAX_SLOPE_SHIFT: u8 = 31;
 
     /// Returns the temperature that a delivery of the board means. A linear chain is measured by the supply of the converter
     /// (`None`: it is not believed), a PT100's resistance is not; and at an end of the converter's range, where
@@ -92,16 +92,16 @@ impl Thermometer {
     /// As [`Self::convert`], and [`ThermometerFault::AtRail`] and [`ThermometerFault::NoSupply`].
     pub fn convert_with_supply(
         &self,
-        raw: RawReading,
+        raw: RawTemperatureReading,
         supply: Option<SupplyScale>,
     ) -> Result<Temperature, ThermometerFault> {
         match self {
-            Self::Linear { .. } if raw != RawReading::NONE => {
+            Self::Linear { .. } if raw != RawTemperatureReading::NONE => {
                 if is_at_rail(raw) {
                     return Err(ThermometerFault::AtRail);
                 }
                 let supply = supply.ok_or(ThermometerFault::NoSupply)?;
-                self.convert(RawReading(supply.scale_raw(raw.0)))
+                self.convert(RawTemperatureReading(supply.scale_raw(raw.0)))
             }
             _ => self.convert(raw),
         }
@@ -115,7 +115,7 @@ impl Thermometer {
             Self::Linear { slope, shift, .. } => {
                 let count =
                     i64::from(slope.unsigned_abs()).wrapping_mul(SUBCOUNTS_PER_COUNT.into());
-                let step = rounding_shift_right(count, shift.min(Self::MAX_SHIFT).into());
+                let step = rounding_shift_right(count, shift.min(Self::MAX_SLOPE_SHIFT).into());
                 Temperature(i32::try_from(step).unwrap_or(i32::MAX))
             }
         }
@@ -135,24 +135,24 @@ impl Thermometer {
     /// Returns the temperature that a delivery means.
     ///
     /// ```
-    /// use trueup_core::{thermometer::{ThermometerFault, RawReading, Thermometer}, units::Temperature};
+    /// use trueup_core::{thermometer::{ThermometerFault, RawTemperatureReading, Thermometer}, units::Temperature};
     /// // 4000 counts at 0 °C and 16 counts per kelvin: 4376 counts are 376/16 = 23.5 °C.
     /// let chain = Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 };
     /// let warm = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
-    /// assert_eq!(chain.convert(RawReading(4376 * 256)), Ok(warm));
-    /// assert_eq!(chain.convert(RawReading::NONE), Err(ThermometerFault::Missing));
+    /// assert_eq!(chain.convert(RawTemperatureReading(4376 * 256)), Ok(warm));
+    /// assert_eq!(chain.convert(RawTemperatureReading::NONE), Err(ThermometerFault::Missing));
     /// ```
     ///
     /// # Errors
     /// [`ThermometerFault`] when the channel has delivered nothing, or nothing that is a temperature.
-    pub fn convert(&self, raw: RawReading) -> Result<Temperature, ThermometerFault> {
-        if raw == RawReading::NONE {
+    pub fn convert(&self, raw: RawTemperatureReading) -> Result<Temperature, ThermometerFault> {
+        if raw == RawTemperatureReading::NONE {
             return Err(ThermometerFault::Missing);
         }
         match *self {
             Self::Pt100 => Ok(pt100::temperature_from_resistance(MicroOhms(raw.0))?),
             Self::Linear { zero, slope, shift } => {
-                let shift = u32::from(shift.min(Self::MAX_SHIFT));
+                let shift = u32::from(shift.min(Self::MAX_SLOPE_SHIFT));
                 let from_zero = i64::from(raw.0).wrapping_sub(i64::from(zero));
                 // 33 bits by 32, at most 2⁶³ − 2³¹, and half is at most 2³⁰: nothing can wrap.
                 let scaled = from_zero.wrapping_mul(i64::from(slope));
@@ -171,7 +171,7 @@ impl Thermometer {
 const SUBCOUNTS_PER_COUNT: i32 = 256;
 
 /// Returns whether a linear chain's delivery is at an end of the 12-bit converter, or beyond it.
-fn is_at_rail(RawReading(raw): RawReading) -> bool {
+fn is_at_rail(RawTemperatureReading(raw): RawTemperatureReading) -> bool {
     const LOW_RAIL_SUBCOUNTS: i32 = LOW_RAIL.0 as i32 * SUBCOUNTS_PER_COUNT;
     const HIGH_RAIL_SUBCOUNTS: i32 = HIGH_RAIL.0 as i32 * SUBCOUNTS_PER_COUNT;
     raw <= LOW_RAIL_SUBCOUNTS || raw >= HIGH_RAIL_SUBCOUNTS
@@ -181,7 +181,7 @@ fn is_at_rail(RawReading(raw): RawReading) -> bool {
 mod tests {
     use super::*;
     use crate::{
-        supply::{InternalReferenceLevel, SupplyMonitor},
+        supply_monitor::{InternalReferenceLevel, SupplyMonitor},
         units::AdcCode,
     };
     extern crate std;
@@ -193,7 +193,7 @@ mod tests {
     fn linear(zero_counts: f64, counts_per_c: f64) -> Thermometer {
         let units = 16_000.0 / counts_per_c;
         let fits = |shift: &u8| (units * 2.0_f64.powi(i32::from(*shift))).abs() < 2_147_483_647.0;
-        let shift = (0..=Thermometer::MAX_SHIFT).rev().find(fits).unwrap();
+        let shift = (0..=Thermometer::MAX_SLOPE_SHIFT).rev().find(fits).unwrap();
         let slope = (units * 2.0_f64.powi(i32::from(shift))).round() as i32;
         Thermometer::Linear { zero: (zero_counts * 256.0).round() as i32, slope, shift }
     }
@@ -203,8 +203,11 @@ mod tests {
         for counts in 0..=12_000 {
             // (counts − 4000)/16 K: 62.5 mK are 256 000 units.
             let expected = Temperature((counts - 4000) * 256_000);
-            assert_eq!(PAPER.convert(RawReading(counts * 256)), Ok(expected));
-            assert_eq!(linear(4000.0, 16.0).convert(RawReading(counts * 256)), Ok(expected));
+            assert_eq!(PAPER.convert(RawTemperatureReading(counts * 256)), Ok(expected));
+            assert_eq!(
+                linear(4000.0, 16.0).convert(RawTemperatureReading(counts * 256)),
+                Ok(expected)
+            );
         }
         assert_eq!(256_000, Temperature::PER_KELVIN / 16);
     }
@@ -236,11 +239,14 @@ mod tests {
         // "L B#16#4000", commented "zero = 4000", loads 16384: 774 K too cold, and a fault here.
         let listing = Thermometer::Linear { zero: 0x4000 * 256, slope: 1000, shift: 0 };
         assert_eq!(0x4000 - 4000, 774 * 16);
-        assert_eq!(listing.convert(RawReading(4376 * 256)), Err(ThermometerFault::OutOfRange));
+        assert_eq!(
+            listing.convert(RawTemperatureReading(4376 * 256)),
+            Err(ThermometerFault::OutOfRange)
+        );
 
         // Right is the formula in the text.
         let right = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
-        assert_eq!(PAPER.convert(RawReading(4376 * 256)), Ok(right));
+        assert_eq!(PAPER.convert(RawTemperatureReading(4376 * 256)), Ok(right));
     }
 
     #[test]
@@ -272,7 +278,7 @@ mod tests {
                         let celsius = f64::from(step) / 6.0001;
                         let raw = ((zero + celsius * signed) * 256.0).round();
                         let exact = (raw / 256.0 - zero) / signed;
-                        let t = chain.convert(RawReading(raw as i32));
+                        let t = chain.convert(RawTemperatureReading(raw as i32));
                         if exact.abs() > 499.9999 {
                             continue;
                         }
@@ -288,11 +294,17 @@ mod tests {
 
     #[test]
     fn beyond_500_degrees_either_way_is_a_fault() {
-        let at = |counts: i32| PAPER.convert(RawReading(counts * 256));
+        let at = |counts: i32| PAPER.convert(RawTemperatureReading(counts * 256));
         assert_eq!(at(4000 + 8000), Ok(Thermometer::MAX_ABS_TEMPERATURE));
         assert_eq!(at(4000 - 8000), Ok(Temperature(-Thermometer::MAX_ABS_TEMPERATURE.0)));
-        assert_eq!(PAPER.convert(RawReading(12_000 * 256 + 1)), Err(ThermometerFault::OutOfRange));
-        assert_eq!(PAPER.convert(RawReading(-4_000 * 256 - 1)), Err(ThermometerFault::OutOfRange));
+        assert_eq!(
+            PAPER.convert(RawTemperatureReading(12_000 * 256 + 1)),
+            Err(ThermometerFault::OutOfRange)
+        );
+        assert_eq!(
+            PAPER.convert(RawTemperatureReading(-4_000 * 256 - 1)),
+            Err(ThermometerFault::OutOfRange)
+        );
     }
 
     #[test]
@@ -302,8 +314,8 @@ mod tests {
             for slope in ends {
                 for shift in [0, 1, 30, 31, 32, 63, 64, 255] {
                     for raw in ends {
-                        let got =
-                            Thermometer::Linear { zero, slope, shift }.convert(RawReading(raw));
+                        let got = Thermometer::Linear { zero, slope, shift }
+                            .convert(RawTemperatureReading(raw));
                         let exact = (i128::from(raw) - i128::from(zero)) * i128::from(slope);
                         let half = (1_i128 << shift.min(31)) >> 1;
                         let exact = (exact + half) >> shift.min(31);
@@ -327,17 +339,17 @@ mod tests {
         supply.set_baseline_level(InternalReferenceLevel(1_500 * 16));
         (0..500).for_each(|_| supply.receive(AdcCode(1_515)));
         let scale = Some(supply.scale());
-        let at = |raw: i32, scale| PAPER.convert_with_supply(RawReading(raw), scale);
-        assert_eq!(at(1_010_000, scale), PAPER.convert(RawReading(1_000_000)));
+        let at = |raw: i32, scale| PAPER.convert_with_supply(RawTemperatureReading(raw), scale);
+        assert_eq!(at(1_010_000, scale), PAPER.convert(RawTemperatureReading(1_000_000)));
         assert_eq!(at(1_010_000, None), Err(ThermometerFault::NoSupply));
         assert_eq!(
-            PAPER.convert_with_supply(RawReading::NONE, None),
+            PAPER.convert_with_supply(RawTemperatureReading::NONE, None),
             Err(ThermometerFault::Missing)
         );
         let pt100 = Thermometer::Pt100;
         assert_eq!(
-            pt100.convert_with_supply(RawReading(110_000_000), None),
-            pt100.convert(RawReading(110_000_000))
+            pt100.convert_with_supply(RawTemperatureReading(110_000_000), None),
+            pt100.convert(RawTemperatureReading(110_000_000))
         );
     }
 
@@ -347,13 +359,13 @@ mod tests {
         let wiring = linear(0.0, 4.07);
         let scale = Some(SupplyScale::default());
         for (counts, is_rail) in [(0, true), (8, true), (9, false), (2_000, false)] {
-            let got = wiring.convert_with_supply(RawReading(counts * 256), scale);
+            let got = wiring.convert_with_supply(RawTemperatureReading(counts * 256), scale);
             assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{counts}");
-            let got = PAPER.convert_with_supply(RawReading(counts * 256), scale);
+            let got = PAPER.convert_with_supply(RawTemperatureReading(counts * 256), scale);
             assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{counts}: {got:?}");
         }
         for (raw, is_rail) in [(4_086, false), (4_087, true), (4_095, true), (4_376, true)] {
-            let got = PAPER.convert_with_supply(RawReading(raw * 256), scale);
+            let got = PAPER.convert_with_supply(RawTemperatureReading(raw * 256), scale);
             assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{raw}: {got:?}");
         }
     }
@@ -368,12 +380,21 @@ mod tests {
 
     #[test]
     fn a_pt100_passes_its_faults_on() {
-        assert_eq!(Thermometer::Pt100.convert(RawReading(100_000_000)), Ok(Temperature(0)));
-        assert_eq!(Thermometer::Pt100.convert(RawReading(i32::MAX)), Err(ThermometerFault::Open));
         assert_eq!(
-            Thermometer::Pt100.convert(RawReading(i32::MIN + 1)),
+            Thermometer::Pt100.convert(RawTemperatureReading(100_000_000)),
+            Ok(Temperature(0))
+        );
+        assert_eq!(
+            Thermometer::Pt100.convert(RawTemperatureReading(i32::MAX)),
+            Err(ThermometerFault::Open)
+        );
+        assert_eq!(
+            Thermometer::Pt100.convert(RawTemperatureReading(i32::MIN + 1)),
             Err(ThermometerFault::Short)
         );
-        assert_eq!(Thermometer::Pt100.convert(RawReading::NONE), Err(ThermometerFault::Missing));
+        assert_eq!(
+            Thermometer::Pt100.convert(RawTemperatureReading::NONE),
+            Err(ThermometerFault::Missing)
+        );
     }
 }

@@ -51,10 +51,11 @@ impl ToolDirection {
     /// ```
     #[must_use]
     pub fn project_elongation_fine(self, elongation: Nanometres) -> [FineNanometres; 3] {
-        const EXCESS_BITS: u32 = ToolDirection::FRACTION_BITS - FineNanometres::FRACTION_BITS;
+        const EXCESS_FRACTION_BITS: u32 =
+            ToolDirection::FRACTION_BITS - FineNanometres::FRACTION_BITS;
         self.0.map(|component| {
             let along = widening_mul(component, elongation.0);
-            FineNanometres::saturating_from(rounding_shift_right(along, EXCESS_BITS))
+            FineNanometres::saturating_from(rounding_shift_right(along, EXCESS_FRACTION_BITS))
         })
     }
 }

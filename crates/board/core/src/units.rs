@@ -158,7 +158,7 @@ impl AdcCode {
 ///
 /// The filter's output lies in 0…4095·1024; a zero reading in a calibration may lie anywhere.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Reading(pub i32);
+pub struct SensorReading(pub i32);
 
 /// Reading units in one ADC code.
 pub const READING_UNITS_PER_CODE: i32 = 1024;

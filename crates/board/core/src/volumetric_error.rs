@@ -25,7 +25,6 @@
 //! poses: 0.1 nm (`fixed_point/volume.rs` of `trueup-machine`).
 
 use crate::{
-    angle::sin_cos,
     cnc::LinearAxis,
     curve::Curve,
     fixed_point::{rounding_shift_right, saturate_to_i32, widening_mul},
@@ -33,6 +32,7 @@ use crate::{
     kinematics::{self, RotaryAxis, round_from_q30},
     machine_position::MachinePosition,
     term::REFERENCE_LEVER,
+    trigonometry::sin_cos,
     units::{FineNanometres, Position},
 };
 
@@ -40,7 +40,7 @@ use crate::{
 /// components turns without leaving an `i32`.
 pub const MAX_LEVER_ARM: i32 = 1 << 29;
 
-const LEVER_BITS: u32 = REFERENCE_LEVER.0.trailing_zeros();
+const REFERENCE_LEVER_BITS: u32 = REFERENCE_LEVER.0.trailing_zeros();
 
 /// A length or an error along X, Y and Z.
 type Vector = [i32; 3];
@@ -51,11 +51,11 @@ pub struct KinematicChain {
     /// The place of X, Y and Z, counted from the workpiece.
     places: [u8; 3],
     on_workpiece: u8,
-    /// Of X, Y and Z: a bit for each axis whose position is a part of its lever, and [`MOVES_WORKPIECE_BIT`].
+    /// Of X, Y and Z: a bit for each axis whose position is a part of its lever, and [`MOVES_WORKPIECE_FLAG`].
     levers: [u8; 3],
 }
 
-const MOVES_WORKPIECE_BIT: u8 = 1 << 3;
+const MOVES_WORKPIECE_FLAG: u8 = 1 << 3;
 
 impl Default for KinematicChain {
     /// X, Y and Z move the tool, in this order.
@@ -84,7 +84,7 @@ impl KinematicChain {
             // The part that moves the workpiece does not move with the tip: its own position counts.
             let first = own.saturating_add(u8::from(moves_tool));
             let bits = [1, 2, 4].into_iter().zip(places);
-            let side = if moves_tool { 0 } else { MOVES_WORKPIECE_BIT };
+            let side = if moves_tool { 0 } else { MOVES_WORKPIECE_FLAG };
             bits.filter(|(_, place)| *place >= first).fold(side, |all, (bit, _)| all | bit)
         });
         Self { places, on_workpiece, levers }
@@ -354,7 +354,7 @@ impl CachedVolumetricErrors {
             };
             let lever = [travelled(1, x, at_x), travelled(2, y, at_y), travelled(4, z, at_z)];
             let made = cross(angles, lever);
-            let moves_tool = levers & MOVES_WORKPIECE_BIT == 0;
+            let moves_tool = levers & MOVES_WORKPIECE_FLAG == 0;
             errors =
                 if moves_tool { add_vectors(errors, made) } else { subtract_vectors(errors, made) };
         }
@@ -378,7 +378,7 @@ fn cross([a, b, c]: [FineNanometres; 3], [x, y, z]: Vector) -> Vector {
     let part = |first: FineNanometres, along: i32, second: FineNanometres, across: i32| {
         // Of two products the difference is at most 2⁶³ − 2³¹: neither this nor its rounding can wrap.
         let exact = widening_mul(first.0, along).wrapping_sub(widening_mul(second.0, across));
-        saturate_to_i32(rounding_shift_right(exact, LEVER_BITS))
+        saturate_to_i32(rounding_shift_right(exact, REFERENCE_LEVER_BITS))
     };
     [part(b, z, c, y), part(c, x, a, z), part(a, y, b, x)]
 }

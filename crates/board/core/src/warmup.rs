@@ -17,7 +17,7 @@
 //! at k = 0.05, where τ is 30 hours.
 
 use crate::{
-    dimensions::THERMAL_STEP_MS,
+    design_parameters::THERMAL_STEP_MS,
     fixed_point::{rounding_shift_right, widening_mul},
     lag::{Lag, SmoothingFactor},
     units::FineNanometres,

@@ -8,17 +8,17 @@ mod drawn;
 use proptest::{prelude::*, sample::select, strategy::ValueTree as _, test_runner::TestRunner};
 use trueup_core::{
     axis_errors::CachedErrors,
-    bridge::{Bridge, State, TickInput},
+    bridge::{Bridge, BridgeState, TickInput},
     cnc::{
         AxisPosition, CncMessage, Control, LinearAxis, OffsetFlags, OffsetQuality, Output,
         RotaryAxisAngles, SpindleState, TravelDirection,
     },
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
     index_set::IndexSet,
-    limits::Limits,
+    limits::CompensationLimits,
     machine_position::MachinePosition,
     thermal_state::MachineThermalState,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm, Temperature, TimestampMs},
 };
 
@@ -72,7 +72,7 @@ struct Phase {
     received: Vec<CncMessage>,
     codes: Option<[u16; CODES_PER_TICK]>,
     speed: Option<u16>,
-    temperatures: Option<[i32; CHANNEL_COUNT]>,
+    temperatures: Option<[i32; TEMPERATURE_CHANNEL_COUNT]>,
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
@@ -110,7 +110,7 @@ fn live(machine: &Machine, phases: &[Phase], watch: impl FnMut(Output, u32, bool
 fn live_with(
     machine: &Machine,
     phases: &[Phase],
-    change: impl Fn(&Bridge<'_>, &mut State),
+    change: impl Fn(&Bridge<'_>, &mut BridgeState),
     mut watch: impl FnMut(Output, u32, bool),
 ) {
     let bridge = Bridge::new(machine.calibration());
@@ -119,7 +119,7 @@ fn live_with(
     let (mut now, mut before) = (TimestampMs(u32::MAX - 50), TimestampMs(0));
     for phase in phases {
         let codes = phase.codes.map(|codes| codes.map(AdcCode));
-        let temperatures = phase.temperatures.map(|raw| raw.map(RawReading));
+        let temperatures = phase.temperatures.map(|raw| raw.map(RawTemperatureReading));
         for tick in 0..phase.ticks {
             // As a CNC does: now and then, not in every millisecond.
             if tick % 16 == 0 {
@@ -175,7 +175,7 @@ proptest! {
     fn an_offset_stays_within_its_limit_and_never_outruns_the_slew_rate(
         (machine, phases) in lives()
     ) {
-        let Limits { max, slew_nm_per_s, .. } = machine.limits;
+        let CompensationLimits { max, slew_nm_per_s, .. } = machine.limits;
         let mut before = [0; 3];
         live(&machine, &phases, |output, elapsed_ms, _| {
             let offset = nanometres(&output);
@@ -231,7 +231,7 @@ proptest! {
         let mut retained = Vec::new();
         live(&machine, &phases, |output, _, _| retained.push(output));
         let mut retained = retained.into_iter();
-        let anew = |bridge: &Bridge<'_>, state: &mut State| bridge.compute_errors(state);
+        let anew = |bridge: &Bridge<'_>, state: &mut BridgeState| bridge.compute_errors(state);
         live_with(&machine, &phases, anew, |output, _, _| assert_eq!(Some(output), retained.next()));
     }
 
@@ -253,7 +253,7 @@ proptest! {
             cached.sum_parts(&calibration, &place);
             assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
             let item = number % 3;
-            heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNEL_COUNT], None);
+            heat.step_item(&calibration, item, &[Some(Temperature(position.0)); TEMPERATURE_CHANNEL_COUNT], None);
             cached.update_axis_thermal_error(&calibration, &heat, &place, LinearAxis::ALL[item]);
             cached.sum_parts(&calibration, &place);
             assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));

@@ -64,12 +64,12 @@ pub fn has_valid_crc(frame: &Frame) -> bool {
 
 /// Checks the frames of one identifier, one after the other.
 #[derive(Clone, Copy, Debug)]
-pub struct Checker {
+pub struct E2eChecker {
     data_id: u16,
     last: Option<u8>,
 }
 
-impl Checker {
+impl E2eChecker {
     /// Returns a checker that has seen no frame yet; `data_id` is the CAN identifier of its frames.
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
@@ -153,8 +153,8 @@ mod tests {
         Frame::new(ID, &data).unwrap()
     }
 
-    fn checker_after(counter: u8) -> Checker {
-        let mut checker = Checker::new(ID);
+    fn checker_after(counter: u8) -> E2eChecker {
+        let mut checker = E2eChecker::new(ID);
         assert_eq!(checker.check(&frame(counter)), Ok(0));
         checker
     }
@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn a_frame_under_another_identifier_is_refused() {
-        let mut checker = Checker::new(0x202);
+        let mut checker = E2eChecker::new(0x202);
         assert!(matches!(checker.check(&frame(0)), Err(E2eError::Crc { .. })));
     }
 
@@ -221,7 +221,7 @@ mod tests {
         for len in 0..3 {
             let short = Frame::new(ID, &[0; 8][..len]).unwrap();
             assert_eq!(
-                Checker::new(ID).check(&short),
+                E2eChecker::new(ID).check(&short),
                 Err(E2eError::TooShort { len: short.len() })
             );
         }

@@ -9,7 +9,7 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, MachineConditions, OffsetFlags, OffsetQuality, Output,
         RotaryAxisAngles, SpindleState, TravelDirection,
     },
-    learned::ChangeRequest,
+    learned::LearnedChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -147,7 +147,7 @@ pub fn encode_control(control: Control, counter: u8) -> Frame {
     ZERO.insert(&mut data, control.zero.into());
     SERVICE.insert(&mut data, control.service.into());
     CONFIRM.insert(&mut data, control.confirm.into());
-    let ChangeRequest { part, amount, calibration } = control.learned;
+    let LearnedChangeRequest { part, amount, calibration } = control.learned;
     LEARNED_PART.insert(&mut data, part.into());
     LEARNED.insert(&mut data, amount.into());
     LEARNED_CRC.insert(&mut data, calibration.into());
@@ -291,7 +291,7 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
         zero: ZERO.extract(data) != 0,
         service: SERVICE.extract(data) != 0,
         confirm: CONFIRM.extract(data) != 0,
-        learned: ChangeRequest {
+        learned: LearnedChangeRequest {
             part: extract_byte(LEARNED_PART, data),
             amount: i16::from_le_bytes([amount_low, amount_high]),
             calibration: u16::from_le_bytes([crc_low, crc_high]),

@@ -32,9 +32,9 @@
 
 #[cfg(test)]
 mod dbc;
-mod table;
+mod frame_table;
 
-pub use table::*;
+pub use frame_table::*;
 
 /// Identifier of what a CANopen master commands to all nodes or one: network management.
 pub const NMT_ID: u16 = 0x000;

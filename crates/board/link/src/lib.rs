@@ -24,6 +24,7 @@ extern crate std;
 
 pub mod byte_queue;
 pub mod e2e;
+pub mod e2e_state_machine;
 pub mod frame;
 pub mod frames;
 pub mod layout;
@@ -31,7 +32,6 @@ pub mod receiver;
 pub mod signal;
 pub mod slcan;
 pub mod status;
-pub mod stream;
 
 /// The signal description that CAN tools read, printed from the table of `layout`.
 pub const DBC: &str = include_str!("../trueup.dbc");

@@ -1,5 +1,5 @@
 //! From received frames to what they say: only whole, new frames in order get through, and
-//! everything refused is counted. Each identifier is a [`FrameStream`] of its own, which is trusted or not.
+//! everything refused is counted. Each identifier is a [`E2eStateMachine`] of its own, which is trusted or not.
 //!
 //! [`CncReceiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
 //! CNC's, or a monitor's, ears for the board.
@@ -8,6 +8,7 @@ use trueup_core::cnc::{CncMessage, LinearAxis, Output};
 
 use crate::{
     e2e::E2eError,
+    e2e_state_machine::{E2eStateMachine, E2eStateMachineError},
     frame::Frame,
     frames::{
         self, CONDITIONS_ID, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ,
@@ -15,7 +16,6 @@ use crate::{
     },
     layout::STATUS_ID,
     status::{self, FrameRejectReason, Status},
-    stream::{FrameStream, StreamError},
 };
 
 /// Counts of frames since the start. Each stops at its largest value.
@@ -40,7 +40,7 @@ impl FrameCounters {
     /// Checks the protection of a frame, reads it, and counts how that went.
     fn verify_and_decode<T>(
         &mut self,
-        stream: &mut FrameStream,
+        stream: &mut E2eStateMachine,
         frame: &Frame,
         decode: impl FnOnce(&Frame) -> Result<T, DecodeError>,
     ) -> Result<T, ReceiveError> {
@@ -49,19 +49,19 @@ impl FrameCounters {
         let content = decode(frame);
         if let Err(error @ DecodeError::Length { .. }) = content {
             saturating_increment(&mut self.malformed);
-            stream.record_damaged(E2eError::TooShort { len: frame.len() });
+            stream.record_damaged_frame(E2eError::TooShort { len: frame.len() });
             return Err(error.into());
         }
         match stream.accept(frame) {
             Ok(lost) => self.lost = self.lost.saturating_add(lost.into()),
             Err(error) => {
                 saturating_increment(match error {
-                    StreamError::Frame(E2eError::TooShort { .. }) => &mut self.malformed,
-                    StreamError::Frame(E2eError::Crc { .. }) => &mut self.crc_errors,
-                    StreamError::Frame(
+                    E2eStateMachineError::Frame(E2eError::TooShort { .. }) => &mut self.malformed,
+                    E2eStateMachineError::Frame(E2eError::Crc { .. }) => &mut self.crc_errors,
+                    E2eStateMachineError::Frame(
                         E2eError::Repeated { .. } | E2eError::WrongSequence { .. },
                     )
-                    | StreamError::Untrusted(_) => &mut self.sequence_errors,
+                    | E2eStateMachineError::Untrusted(_) => &mut self.sequence_errors,
                 });
                 return Err(error.into());
             }
@@ -81,13 +81,13 @@ fn saturating_increment(counter: &mut u32) {
 /// The board's ear for the CNC: every frame that it sends, each identifier with its own sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct CncReceiver {
-    position_x: FrameStream,
-    position_y: FrameStream,
-    position_z: FrameStream,
-    rotary: FrameStream,
-    spindle: FrameStream,
-    control: FrameStream,
-    conditions: FrameStream,
+    position_x: E2eStateMachine,
+    position_y: E2eStateMachine,
+    position_z: E2eStateMachine,
+    rotary: E2eStateMachine,
+    spindle: E2eStateMachine,
+    control: E2eStateMachine,
+    conditions: E2eStateMachine,
     counters: FrameCounters,
 }
 
@@ -96,13 +96,13 @@ impl CncReceiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            position_x: FrameStream::new(POSITION_X_ID),
-            position_y: FrameStream::new(POSITION_Y_ID),
-            position_z: FrameStream::new(POSITION_Z_ID),
-            rotary: FrameStream::new(ROTARY_ID),
-            spindle: FrameStream::new(SPINDLE_ID),
-            control: FrameStream::new(CONTROL_ID),
-            conditions: FrameStream::new(CONDITIONS_ID),
+            position_x: E2eStateMachine::new(POSITION_X_ID),
+            position_y: E2eStateMachine::new(POSITION_Y_ID),
+            position_z: E2eStateMachine::new(POSITION_Z_ID),
+            rotary: E2eStateMachine::new(ROTARY_ID),
+            spindle: E2eStateMachine::new(SPINDLE_ID),
+            control: E2eStateMachine::new(CONTROL_ID),
+            conditions: E2eStateMachine::new(CONDITIONS_ID),
             counters: FrameCounters::ZERO,
         }
     }
@@ -113,7 +113,7 @@ impl CncReceiver {
     /// A frame for the bridge that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Option<CncMessage>, ReceiveError> {
         let counters = &mut self.counters;
-        let mut position = |axis: LinearAxis, stream: &mut FrameStream| {
+        let mut position = |axis: LinearAxis, stream: &mut E2eStateMachine| {
             counters
                 .verify_and_decode(stream, frame, |frame| frames::decode_position(axis, frame))
                 .map(CncMessage::Position)
@@ -188,8 +188,8 @@ enum PendingOffsetHalf {
 /// and in less than 256 ms, after which a counter comes round again.
 #[derive(Clone, Copy, Debug)]
 pub struct OffsetReceiver {
-    xy: FrameStream,
-    z: FrameStream,
+    xy: E2eStateMachine,
+    z: E2eStateMachine,
     waiting: Option<(u8, PendingOffsetHalf)>,
     counters: FrameCounters,
     unpaired: u32,
@@ -200,8 +200,8 @@ impl OffsetReceiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            xy: FrameStream::new(OFFSET_XY_ID),
-            z: FrameStream::new(OFFSET_Z_ID),
+            xy: E2eStateMachine::new(OFFSET_XY_ID),
+            z: E2eStateMachine::new(OFFSET_Z_ID),
             waiting: None,
             counters: FrameCounters::ZERO,
             unpaired: 0,
@@ -259,7 +259,7 @@ impl OffsetReceiver {
 
     /// Halves that were dropped because their other half never came.
     #[must_use]
-    pub const fn unpaired_count(&self) -> u32 {
+    pub const fn unpaired_frame_count(&self) -> u32 {
         self.unpaired
     }
 }
@@ -273,7 +273,7 @@ impl Default for OffsetReceiver {
 /// An ear for the bridge's `Status`.
 #[derive(Clone, Copy, Debug)]
 pub struct StatusReceiver {
-    stream: FrameStream,
+    stream: E2eStateMachine,
     counters: FrameCounters,
 }
 
@@ -281,7 +281,7 @@ impl StatusReceiver {
     /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { stream: FrameStream::new(STATUS_ID), counters: FrameCounters::ZERO }
+        Self { stream: E2eStateMachine::new(STATUS_ID), counters: FrameCounters::ZERO }
     }
 
     /// Returns what this frame says.
@@ -328,11 +328,11 @@ pub enum ReceiveError {
     Untrusted(E2eError),
 }
 
-impl From<StreamError> for ReceiveError {
-    fn from(error: StreamError) -> Self {
+impl From<E2eStateMachineError> for ReceiveError {
+    fn from(error: E2eStateMachineError) -> Self {
         match error {
-            StreamError::Frame(error) => Self::E2e(error),
-            StreamError::Untrusted(error) => Self::Untrusted(error),
+            E2eStateMachineError::Frame(error) => Self::E2e(error),
+            E2eStateMachineError::Untrusted(error) => Self::Untrusted(error),
         }
     }
 }

@@ -19,7 +19,7 @@ use crate::frame::{Frame, FrameError};
 pub mod client;
 pub mod port;
 
-pub use client::{Client, Event};
+pub use client::{AdapterMessage, SlcanClient};
 pub use port::{Port, PortCounters};
 
 /// The answer to a line that was understood, and the end of every line.

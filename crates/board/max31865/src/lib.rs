@@ -42,7 +42,7 @@ use embedded_hal::spi::SpiDevice;
 use trueup_core::{
     calibration::MainsFrequency,
     pt100::{OPEN_THRESHOLD, SHORT_THRESHOLD},
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::MicroOhms,
 };
 
@@ -57,7 +57,7 @@ pub const READINGS_PER_FAULT_CHECK: u32 = 96;
 /// Binary places of the ratio.
 const RATIO_FRACTION_BITS: u32 = 15;
 /// The addresses for writing begin here.
-const WRITE_BIT: u8 = 0x80;
+const WRITE_FLAG: u8 = 0x80;
 /// The registers, from the first to the last, are read in one go: this address, and eight bytes.
 const REGISTER_COUNT: usize = 8;
 /// The first register of the thresholds.
@@ -108,10 +108,10 @@ impl Faults {
 
     /// As a thermometer's delivery: a resistance far beyond its range, on the side of the cause.
     #[must_use]
-    pub fn to_raw_reading(self) -> RawReading {
+    pub fn to_raw_reading(self) -> RawTemperatureReading {
         let is_open =
             self.0 & (Self::ABOVE_HIGH_THRESHOLD | Self::NO_CURRENT | Self::OVER_UNDERVOLTAGE) != 0;
-        RawReading(if is_open { i32::MAX } else { 0 })
+        RawTemperatureReading(if is_open { i32::MAX } else { 0 })
     }
 }
 
@@ -132,11 +132,11 @@ pub enum ConverterReading {
 impl ConverterReading {
     /// As a thermometer's delivery.
     #[must_use]
-    pub fn to_raw_reading(self) -> RawReading {
+    pub fn to_raw_reading(self) -> RawTemperatureReading {
         match self {
-            Self::Missing | Self::Starting => RawReading::NONE,
+            Self::Missing | Self::Starting => RawTemperatureReading::NONE,
             Self::Faulty(faults) => faults.to_raw_reading(),
-            Self::Good(resistance) => RawReading(resistance.0),
+            Self::Good(resistance) => RawTemperatureReading(resistance.0),
         }
     }
 }
@@ -156,13 +156,13 @@ enum ConversionStep {
 
 /// One converter: the sequence of its turns, and its newest reading.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Converter {
+pub struct Max31865 {
     step: ConversionStep,
     reading: ConverterReading,
     mains: MainsFrequency,
 }
 
-impl Converter {
+impl Max31865 {
     /// Returns a converter that was not spoken to, and is to suppress the hum of these mains.
     #[must_use]
     pub fn new(mains: MainsFrequency) -> Self {
@@ -182,12 +182,12 @@ impl Converter {
         let mut transfer = |bytes: &mut [u8]| spi.transfer_in_place(bytes).is_ok();
         let ready =
             BIAS_ON_3_WIRE | if self.mains == MainsFrequency::Hz50 { FILTER_50_HZ } else { 0 };
-        let mut configure = |bits: u8| transfer(&mut [WRITE_BIT, ready | bits]);
+        let mut configure = |bits: u8| transfer(&mut [WRITE_FLAG, ready | bits]);
         self.step = match self.step {
             ConversionStep::Clear => {
                 let [a, b, c, d] = FAULT_THRESHOLDS;
                 let sent = configure(CLEAR_FAULTS)
-                    && transfer(&mut [WRITE_BIT | THRESHOLD_REGISTER, a, b, c, d]);
+                    && transfer(&mut [WRITE_FLAG | THRESHOLD_REGISTER, a, b, c, d]);
                 if sent {
                     ConversionStep::StartCheck
                 } else {
@@ -200,7 +200,7 @@ impl Converter {
             },
             ConversionStep::EndCheck => match ConverterRegisters::read(ready, &mut transfer) {
                 Err(failure) => self.record_failure(failure),
-                Ok(_) if transfer(&mut [WRITE_BIT, ready | AUTO_CONVERSION]) => {
+                Ok(_) if transfer(&mut [WRITE_FLAG, ready | AUTO_CONVERSION]) => {
                     ConversionStep::Settle
                 }
                 Ok(_) => self.record_failure(ConverterReading::Missing),
@@ -257,10 +257,11 @@ impl ConverterRegisters {
     }
 
     fn resistance(&self) -> MicroOhms {
-        const HALF: i64 = 1 << (RATIO_FRACTION_BITS - 1);
+        const ROUNDING_HALF: i64 = 1 << (RATIO_FRACTION_BITS - 1);
         let [_, high, low, ..] = self.0;
         let ratio = i64::from(u16::from_be_bytes([high, low]) >> 1);
-        let scaled = ratio.saturating_mul(i64::from(REFERENCE_RESISTANCE.0)).saturating_add(HALF);
+        let scaled =
+            ratio.saturating_mul(i64::from(REFERENCE_RESISTANCE.0)).saturating_add(ROUNDING_HALF);
         MicroOhms(i32::try_from(scaled >> RATIO_FRACTION_BITS).unwrap_or(i32::MAX))
     }
 }

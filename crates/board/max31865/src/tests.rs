@@ -28,7 +28,7 @@ impl Chip {
         let address = bytes[0];
         for (n, byte) in (0..).zip(&mut bytes[1..]) {
             let register = usize::from((address & 0x7F) + n) % REGISTER_COUNT;
-            if address & WRITE_BIT == 0 {
+            if address & WRITE_FLAG == 0 {
                 *byte = self.registers[register];
             } else {
                 assert!(matches!(register, 0 | 3..=6), "register {register} is read only");
@@ -36,7 +36,7 @@ impl Chip {
                 *byte = 0;
             }
         }
-        if address == WRITE_BIT {
+        if address == WRITE_FLAG {
             self.configured();
         }
     }
@@ -103,12 +103,12 @@ impl SpiDevice for Stuck {
     }
 }
 
-fn turn(converter: &mut Converter, chip: &mut Chip) -> ConverterReading {
+fn turn(converter: &mut Max31865, chip: &mut Chip) -> ConverterReading {
     chip.live();
     converter.poll(chip)
 }
 
-fn turns(converter: &mut Converter, chip: &mut Chip, count: u32) -> ConverterReading {
+fn turns(converter: &mut Max31865, chip: &mut Chip, count: u32) -> ConverterReading {
     (0..count).map(|_| turn(converter, chip)).last().expect("at least one")
 }
 
@@ -132,7 +132,7 @@ fn the_filter_is_that_of_the_mains_in_every_configuration_that_is_written() {
     for (mains, written) in
         [(MainsFrequency::Hz50, [0x93, 0x95, 0xD1]), (MainsFrequency::Hz60, [0x92, 0x94, 0xD0])]
     {
-        let (mut converter, mut chip) = (Converter::new(mains), Chip::new(PLAIN));
+        let (mut converter, mut chip) = (Max31865::new(mains), Chip::new(PLAIN));
         let mut all = Vec::new();
         for _ in 0..3 * (READINGS_PER_FAULT_CHECK + 5) {
             chip.live();
@@ -159,7 +159,7 @@ impl ErrorType for Recorder<'_> {
 
 impl SpiDevice for Recorder<'_> {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
-        if let [Operation::TransferInPlace([WRITE_BIT, bits])] = operations {
+        if let [Operation::TransferInPlace([WRITE_FLAG, bits])] = operations {
             self.written.push(*bits);
         }
         self.chip.transaction(operations)
@@ -169,9 +169,12 @@ impl SpiDevice for Recorder<'_> {
 #[test]
 fn a_thermometer_is_read_from_the_fifth_turn_on_to_a_step() {
     for micro_ohms in [76_330_000, 100_000_000, 109_730_000, 138_510_000, 247_090_000] {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(micro_ohms));
+        let (mut converter, mut chip) = (Max31865::default(), Chip::new(micro_ohms));
         for _ in 0..4 {
-            assert_eq!(turn(&mut converter, &mut chip).to_raw_reading(), RawReading::NONE);
+            assert_eq!(
+                turn(&mut converter, &mut chip).to_raw_reading(),
+                RawTemperatureReading::NONE
+            );
         }
         let read = good(turn(&mut converter, &mut chip));
         // The converter rounds down: 430 Ω/2¹⁵ are 13 123 µΩ.
@@ -183,7 +186,7 @@ fn a_thermometer_is_read_from_the_fifth_turn_on_to_a_step() {
 
 #[test]
 fn the_reading_stands_while_the_cables_are_checked() {
-    let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
+    let (mut converter, mut chip) = (Max31865::default(), Chip::new(PLAIN));
     let mut checks = 0;
     turns(&mut converter, &mut chip, 5);
     for _ in 0..3 * (READINGS_PER_FAULT_CHECK + 4) {
@@ -198,12 +201,12 @@ fn the_reading_stands_while_the_cables_are_checked() {
 #[test]
 fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
     for (level, error) in [(0x00, None), (0xFF, None), (0x00, Some(ErrorKind::Other))] {
-        let mut converter = Converter::default();
+        let mut converter = Max31865::default();
         for _ in 0..50 {
             let reading = converter.poll(&mut Stuck { level, error });
             assert_eq!(
                 (reading, reading.to_raw_reading()),
-                (ConverterReading::Missing, RawReading::NONE)
+                (ConverterReading::Missing, RawTemperatureReading::NONE)
             );
         }
     }
@@ -211,7 +214,7 @@ fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
 
 #[test]
 fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_read() {
-    let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
+    let (mut converter, mut chip) = (Max31865::default(), Chip::new(PLAIN));
     good(turns(&mut converter, &mut chip, 7));
     assert_eq!(converter.poll(&mut Stuck { level: 0xFF, error: None }), ConverterReading::Missing);
     // A dip of its supply: all registers as after power-on.
@@ -226,7 +229,7 @@ fn broken_and_shorted_thermometers_are_distinguished_and_recover() {
     for (micro_ohms, expected) in
         [(i64::MAX >> 16, ThermometerFault::Open), (300_000, ThermometerFault::Short)]
     {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
+        let (mut converter, mut chip) = (Max31865::default(), Chip::new(PLAIN));
         good(turns(&mut converter, &mut chip, 9));
         chip.micro_ohms = micro_ohms;
         // With the next reading, and as long as it lasts.
@@ -246,7 +249,7 @@ fn a_cable_fault_that_the_ratio_does_not_show_is_found_by_the_check() {
         (0x10, ThermometerFault::Short),
         (0x08, ThermometerFault::Short),
     ] {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
+        let (mut converter, mut chip) = (Max31865::default(), Chip::new(PLAIN));
         good(turns(&mut converter, &mut chip, 5));
         chip.cable = cable;
         let found =
@@ -262,7 +265,7 @@ fn a_cable_fault_that_the_ratio_does_not_show_is_found_by_the_check() {
 
 #[test]
 fn a_fault_of_a_moment_is_seen_though_it_is_over_when_it_is_read() {
-    let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
+    let (mut converter, mut chip) = (Max31865::default(), Chip::new(PLAIN));
     good(turns(&mut converter, &mut chip, 9));
     chip.micro_ohms = i64::MAX >> 16;
     chip.live();
@@ -301,7 +304,7 @@ fn the_first_reading_takes_these_bytes_and_no_others() {
         selection(&[0; 9], &registers(0xD1, 0x80, 0x00)),
     ];
     let mut spi = Mock::new(&expected.concat());
-    let mut converter = Converter::default();
+    let mut converter = Max31865::default();
     let readings: Vec<_> = (0..5).map(|_| converter.poll(&mut spi)).collect();
     spi.done();
     assert_eq!(

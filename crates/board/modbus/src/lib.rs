@@ -21,9 +21,9 @@
 extern crate std;
 
 pub mod e2e;
-pub mod holding;
-pub mod input;
-pub mod input_with_slopes;
+pub mod holding_block;
+pub mod input_block;
+pub mod input_block_with_slopes;
 pub mod register_map;
 pub mod rtu;
 pub mod server;

@@ -10,7 +10,7 @@
 
 use heapless::Vec;
 
-use crate::server::{RegisterStore, Response, Transport, handle_request};
+use crate::server::{RegisterStore, ResponseBuffer, Transport, handle_request};
 
 /// The largest serial frame.
 const MAX_FRAME_BYTES: usize = 256;
@@ -44,12 +44,15 @@ impl FrameTiming {
         if baud > FIXED_TIMING_THRESHOLD_BAUD {
             return Self { within_us: 750, behind_us: 1_750 };
         }
-        Self { within_us: half_characters_us(3, baud), behind_us: half_characters_us(7, baud) }
+        Self {
+            within_us: half_character_times_us(3, baud),
+            behind_us: half_character_times_us(7, baud),
+        }
     }
 }
 
 /// This many halves of a character, in µs.
-const fn half_characters_us(count: u32, baud: u32) -> u32 {
+const fn half_character_times_us(count: u32, baud: u32) -> u32 {
     match HALF_CHARACTER_US_AT_1_BAUD.saturating_mul(count).checked_div(baud) {
         Some(us) => us,
         None => u32::MAX,
@@ -116,7 +119,7 @@ impl Slave {
         &mut self,
         now_us: u32,
         bridge: &mut impl RegisterStore,
-        response: &mut Response,
+        response: &mut ResponseBuffer,
     ) -> bool {
         let silence = now_us.wrapping_sub(self.last_us);
         if self.bytes.is_empty() || silence < self.timing.behind_us {
@@ -138,7 +141,7 @@ impl Slave {
 mod tests {
     use super::*;
     use crate::{
-        holding::CncData,
+        holding_block::CncData,
         server::tests::{Mock, rtu, write},
     };
     use std::vec::Vec as List;
@@ -164,7 +167,7 @@ mod tests {
         // Across the wrap of the clock as well.
         for start in [0, u32::MAX - 1_000] {
             let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
-            let mut response = Response::new();
+            let mut response = ResponseBuffer::new();
             let end = push(&mut slave, start, &block());
             for early in [0, 100, 1_749] {
                 assert!(!slave.poll(end.wrapping_add(early), &mut bridge, &mut response));
@@ -179,7 +182,7 @@ mod tests {
     #[test]
     fn a_gap_within_a_frame_throws_it_away_and_the_next_is_received() {
         let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
-        let mut response = Response::new();
+        let mut response = ResponseBuffer::new();
         let frame = block();
         let middle = push(&mut slave, 0, &frame[..20]);
         let end = push(&mut slave, middle + 800, &frame[20..]);
@@ -197,7 +200,7 @@ mod tests {
     #[test]
     fn noise_overlong_and_damaged_frames_move_nothing() {
         let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
-        let mut response = Response::new();
+        let mut response = ResponseBuffer::new();
         let mut now = 0;
         let mut random = 1_u32;
         for length in 0..600 {

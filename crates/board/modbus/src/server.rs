@@ -32,7 +32,7 @@ use rmodbus::{
 };
 
 use crate::{
-    holding, input,
+    holding_block, input_block,
     register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN, WORD_ORDER_ADDRESS, WORD_ORDER_PATTERN},
 };
 
@@ -61,7 +61,7 @@ pub fn checksum(bytes: &[u8]) -> [u8; 2] {
 }
 
 /// An answer.
-pub type Response = Vec<u8, MAX_FRAME_BYTES>;
+pub type ResponseBuffer = Vec<u8, MAX_FRAME_BYTES>;
 
 /// The transport that a request comes over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,20 +74,23 @@ pub enum Transport {
 
 /// Another master writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Busy;
+pub struct RegistersBusy;
 
 /// The bridge behind the registers.
 pub trait RegisterStore {
     /// Returns the current input block, of one moment.
-    fn input_registers(&mut self) -> input::Registers;
+    fn input_registers(&mut self) -> input_block::InputRegisters;
     /// Returns the holding block that was last taken; zeros before.
-    fn holding_registers(&mut self) -> holding::Registers;
-    /// Takes a block as it was written. Whether it may be used is for [`holding::Checker`]; one that may
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters;
+    /// Takes a block as it was written. Whether it may be used is for [`holding_block::HoldingBlockChecker`]; one that may
     /// not is acknowledged, refused and counted.
     ///
     /// # Errors
     /// Another master writes.
-    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy>;
+    fn write_holding_registers(
+        &mut self,
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy>;
 }
 
 /// The exceptions that are given, by the standard's numbers.
@@ -106,7 +109,7 @@ pub fn handle_request(
     unit: u8,
     request: &[u8],
     bridge: &mut impl RegisterStore,
-    response: &mut Response,
+    response: &mut ResponseBuffer,
 ) -> bool {
     response.clear();
     let Some((addressed, pdu)) = parse_adu(transport, request) else { return false };
@@ -181,7 +184,7 @@ fn execute_request(
     unit: u8,
     request: &[u8],
     bridge: &mut impl RegisterStore,
-    response: &mut Response,
+    response: &mut ResponseBuffer,
 ) -> Result<(), ExceptionCode> {
     let proto = match transport {
         Transport::Tcp => ModbusProto::TcpUdp,
@@ -226,7 +229,7 @@ fn execute_request(
         for (place, word) in block.iter_mut().zip(pairs) {
             *place = u16::from_be_bytes(*word);
         }
-        bridge.write_holding_registers(&block).map_err(|Busy| ExceptionCode::Busy)?;
+        bridge.write_holding_registers(&block).map_err(|RegistersBusy| ExceptionCode::Busy)?;
         frame.process_external_write(Ok(())).map_err(odd)?;
     }
     frame.finalize_response().map_err(odd)
@@ -239,7 +242,7 @@ fn write_exception(
     unit: u8,
     function: u8,
     exception: ExceptionCode,
-    response: &mut Response,
+    response: &mut ResponseBuffer,
 ) -> bool {
     response.clear();
     let body = [unit, function | 0x80, exception as u8];

@@ -8,7 +8,7 @@ use crate::reset_info::ResetInfo;
 
 /// What a node is made of.
 #[derive(Debug)]
-pub struct Configuration<'a> {
+pub struct NodeConfiguration<'a> {
     /// `None`: none is valid, and nothing can be computed.
     pub calibration: Option<Calibration<'a>>,
     /// Its blob, which a CANopen master may read; empty without one.
@@ -31,7 +31,7 @@ pub struct Configuration<'a> {
     pub writes: WriteLog,
 }
 
-impl Default for Configuration<'_> {
+impl Default for NodeConfiguration<'_> {
     fn default() -> Self {
         Self {
             calibration: None,
@@ -48,7 +48,7 @@ impl Default for Configuration<'_> {
     }
 }
 
-impl<'a> From<Calibration<'a>> for Configuration<'a> {
+impl<'a> From<Calibration<'a>> for NodeConfiguration<'a> {
     fn from(calibration: Calibration<'a>) -> Self {
         Self { calibration: Some(calibration), ..Self::default() }
     }

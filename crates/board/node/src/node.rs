@@ -4,7 +4,7 @@
 //! hardware, so the host can run the same thing.
 //!
 //! The tick makes offsets and nothing else. The rest of a CANopen node's messages, the heartbeat,
-//! emergencies, the status, answers to SDO requests, is [`Node::service`], which a board calls from a task that
+//! emergencies, the status, answers to SDO requests, is [`Node::next_service_frame`], which a board calls from a task that
 //! a tick interrupts.
 
 use trueup_canopen::{
@@ -16,7 +16,7 @@ use trueup_core::{
     bridge::{self, Bridge, TickInput},
     cnc::{CncMessage, Control, OffsetFlags, OffsetQuality, Output},
     sensor_health::NoiseStatistics,
-    supply::SupplyMonitor,
+    supply_monitor::SupplyMonitor,
     units::TimestampMs,
 };
 use trueup_link::{
@@ -32,19 +32,21 @@ use trueup_link::{
 };
 use trueup_store::{
     calibration::calibration_crc,
-    load::{LoadBuffer, LoadOutcome, LoadSlot},
+    calibration_load::{LoadBuffer, LoadOutcome, LoadSlot},
     write_log::WriteKind,
 };
 
-use crate::{configuration::Configuration, display_values::DisplayValues, reset_info::ResetInfo};
+use crate::{
+    configuration::NodeConfiguration, display_values::DisplayValues, reset_info::ResetInfo,
+};
 
 mod confirmation;
 mod faults;
-pub mod firmware;
+pub mod firmware_update;
 mod learned_changes;
 mod master;
 mod nmt;
-mod objects;
+mod object_access;
 mod reference_status;
 mod registers;
 mod restart;
@@ -53,7 +55,7 @@ mod status_items;
 mod supply;
 mod write_journal;
 
-use firmware::FirmwareUpdate;
+use firmware_update::FirmwareUpdate;
 pub use master::Interface;
 use master::Master;
 use reference_status::OfferedReference;
@@ -70,7 +72,7 @@ pub type OffsetFrames = [Frame; 2];
 pub struct Node<'a> {
     /// `None` without a valid calibration: nothing can be computed then.
     bridge: Option<Bridge<'a>>,
-    state: bridge::State,
+    state: bridge::BridgeState,
     receiver: CncReceiver,
     now: TimestampMs,
     /// The same by a clock that does not count samples.
@@ -84,7 +86,7 @@ pub struct Node<'a> {
     serviced: TimestampMs,
     /// The flags of all ticks since then.
     flags_since: OffsetFlags,
-    server: sdo::Server,
+    server: sdo::SdoServer,
     answer: Option<Frame>,
     emergencies: EmergencyProducer,
     /// Of the board, which stay until it says otherwise.
@@ -159,8 +161,8 @@ struct BoardInfo {
 impl<'a> Node<'a> {
     /// Returns a node that has just been switched on.
     #[must_use]
-    pub fn new(configuration: Configuration<'a>) -> Self {
-        let Configuration {
+    pub fn new(configuration: NodeConfiguration<'a>) -> Self {
+        let NodeConfiguration {
             calibration,
             blob,
             buffer,
@@ -173,8 +175,9 @@ impl<'a> Node<'a> {
             writes,
         } = configuration;
         let bridge = calibration.map(Bridge::new);
-        let mut state =
-            bridge.as_ref().map_or_else(bridge::State::without_calibration, Bridge::initial_state);
+        let mut state = bridge
+            .as_ref()
+            .map_or_else(bridge::BridgeState::without_calibration, Bridge::initial_state);
         // The engage sequence is not complete.
         state.set_inhibited(true);
         Self {
@@ -194,7 +197,7 @@ impl<'a> Node<'a> {
             consumer: HeartbeatConsumer::default(),
             serviced: TimestampMs::default(),
             flags_since: OffsetFlags::NONE,
-            server: sdo::Server::default(),
+            server: sdo::SdoServer::default(),
             answer: None,
             emergencies: EmergencyProducer::default(),
             board_faults: faults,
@@ -247,12 +250,12 @@ impl<'a> Node<'a> {
 
     /// Returns a calibration that has come whole, once: it is to be looked at, stored, and given back.
     pub fn take_received_calibration(&mut self) -> Option<LoadBuffer<'a>> {
-        self.slot.take()
+        self.slot.take_load()
     }
 
     /// Gives it back, and lets the master know what came of it.
     pub fn finish_load(&mut self, load: LoadBuffer<'a>, outcome: LoadOutcome) {
-        let outcome = self.slot.finish_load(load, outcome).map_err(objects::load_abort_code);
+        let outcome = self.slot.finish_load(load, outcome).map_err(object_access::load_abort_code);
         if let (Ok(()), Some(stored)) = (outcome, self.slot.stored_blob()) {
             self.new_crc = calibration_crc(stored);
             self.log_calibration_load(self.new_crc);
@@ -288,7 +291,7 @@ impl<'a> Node<'a> {
         self.consumer.receive(frame);
         if CncReceiver::is_cnc_frame_id(frame.id()) && !self.master.accepts_interface(line) {
             if e2e::has_valid_crc(frame) {
-                self.master.record_other_interface();
+                self.master.record_frame_on_other_interface();
             }
             return Ok(None);
         }
@@ -344,13 +347,13 @@ impl<'a> Node<'a> {
         output.flags = output.flags.with_if(self.degraded, OffsetFlags::BOARD_DEGRADED);
         self.last = output;
 
-        self.flags_since = self.flags_since.with(output.flags);
+        self.flags_since = self.flags_since.union(output.flags);
         let counter = self.counter;
         self.counter = counter.wrapping_add(1);
         [frames::encode_offset_xy(&output, counter), frames::encode_offset_z(&output, counter)]
     }
 
-    /// Returns whether it is time for [`Node::service`].
+    /// Returns whether it is time for [`Node::next_service_frame`].
     #[must_use]
     pub fn is_service_frame_due(&self) -> bool {
         self.now.duration_ms_since(self.serviced) >= MIN_SERVICE_FRAME_INTERVAL_MS
@@ -361,7 +364,7 @@ impl<'a> Node<'a> {
     /// [`MIN_SERVICE_FRAME_INTERVAL_MS`] from one to the next, however often this is called.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn service(&mut self) -> Option<Frame> {
+    pub fn next_service_frame(&mut self) -> Option<Frame> {
         if !self.is_service_frame_due() {
             return None;
         }

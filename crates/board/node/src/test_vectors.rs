@@ -15,11 +15,11 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, SpindleState,
         TravelDirection,
     },
-    dimensions::CHANNEL_COUNT,
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     temperature_channels::RawTemperatures,
     term::Effect,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
@@ -45,8 +45,8 @@ const INJECTED_FAULT_SEQUENCE: [InjectedFault; 6] = [
     InjectedFault::NoPositions,
     InjectedFault::NoAngles,
     InjectedFault::SilentCnc,
-    InjectedFault::LetsGo,
-    InjectedFault::DeadSensor,
+    InjectedFault::Disengaged,
+    InjectedFault::SensorAtRail,
     InjectedFault::NoTemperatures,
 ];
 /// Vectors until every fault has been there, with the phase before each.
@@ -64,9 +64,9 @@ enum InjectedFault {
     /// Neither `Control` nor `Spindle`.
     SilentCnc,
     /// `Engage` is not set.
-    LetsGo,
+    Disengaged,
     /// Its codes are at the upper rail.
-    DeadSensor,
+    SensorAtRail,
     NoTemperatures,
 }
 
@@ -107,7 +107,7 @@ impl XorShift32 {
     }
 
     /// Returns the next number, up to `most` either way.
-    pub fn next_symmetric(&mut self, most: u32) -> i32 {
+    pub fn next_signed_within(&mut self, most: u32) -> i32 {
         let span = most.wrapping_mul(2).wrapping_add(1);
         self.next_below(span).wrapping_sub(most).cast_signed()
     }
@@ -126,7 +126,7 @@ pub struct TestVectorRunner<'a> {
     codes: [AdcCode; CODES_PER_TICK],
     temperatures: RawTemperatures,
     /// How far each is above the coldest, in millikelvin.
-    warmth_mk: [u32; CHANNEL_COUNT],
+    warmth_mk: [u32; TEMPERATURE_CHANNEL_COUNT],
     /// Frames that the CNC sends in this millisecond.
     sent: Vec<Frame, 7>,
     /// Of the three positions, the angles, the spindle, the control, tool and conditions.
@@ -156,8 +156,8 @@ impl<'a> TestVectorRunner<'a> {
             position: AXIS_RANGES.map(|reach| reach >> 1),
             level: 700,
             codes: [AdcCode(0); CODES_PER_TICK],
-            temperatures: [RawReading::NONE; CHANNEL_COUNT],
-            warmth_mk: [MAX_TEMPERATURE_RISE_MK >> 1; CHANNEL_COUNT],
+            temperatures: [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT],
+            warmth_mk: [MAX_TEMPERATURE_RISE_MK >> 1; TEMPERATURE_CHANNEL_COUNT],
             sent: Vec::new(),
             // After the three of `Control` above.
             counters: [0, 0, 0, 0, 0, 3, 0],
@@ -179,7 +179,8 @@ impl<'a> TestVectorRunner<'a> {
             (0..3).for_each(|number| self.send_position(number));
         }
         if self.is_due(ROTARY_PERIOD_MS) && fault != InjectedFault::NoAngles {
-            let angles = [180_000_000, 110_000_000].map(|most| self.random.next_symmetric(most));
+            let angles =
+                [180_000_000, 110_000_000].map(|most| self.random.next_signed_within(most));
             let angles = angles.map(MicroDegrees);
             self.send_frame(3, |counter| {
                 frames::encode_rotary(RotaryAxisAngles { angles }, counter)
@@ -190,7 +191,7 @@ impl<'a> TestVectorRunner<'a> {
             self.send_frame(4, |counter| {
                 frames::encode_spindle(SpindleState { speed, load_n: 0 }, counter)
             });
-            let engage = fault != InjectedFault::LetsGo;
+            let engage = fault != InjectedFault::Disengaged;
             // Now and then for some frames, so that it is believed.
             let zero = self.faults && self.number & 0x0FFF < 200;
             let control = Control { engage, zero, ..Control::REFERENCED };
@@ -226,7 +227,7 @@ impl<'a> TestVectorRunner<'a> {
         let Some(&reach) = AXIS_RANGES.get(number) else { return };
         let random = &mut self.random;
         let jump = random.next_below(16) == 0;
-        let (target, walk) = (random.next_below(reach), random.next_symmetric(50_000));
+        let (target, walk) = (random.next_below(reach), random.next_signed_within(50_000));
         let Some(position) = self.position.get_mut(number) else { return };
         let heading = if walk < 0 { TravelDirection::Negative } else { TravelDirection::Positive };
         *position =
@@ -254,8 +255,8 @@ impl<'a> TestVectorRunner<'a> {
 
     fn update_sensors(&mut self, fault: InjectedFault) {
         let random = &mut self.random;
-        self.level = self.level.wrapping_add_signed(random.next_symmetric(4)).clamp(100, 3_900);
-        let level = if fault == InjectedFault::DeadSensor { 4_095 } else { self.level };
+        self.level = self.level.wrapping_add_signed(random.next_signed_within(4)).clamp(100, 3_900);
+        let level = if fault == InjectedFault::SensorAtRail { 4_095 } else { self.level };
         let noise = random.next_u32();
         for (bit, code) in self.codes.iter_mut().enumerate() {
             let [low, high, ..] = level
@@ -266,7 +267,7 @@ impl<'a> TestVectorRunner<'a> {
         let channels = self.temperatures.iter_mut().zip(&mut self.warmth_mk);
         for (number, (temperature, warmth_mk)) in channels.enumerate() {
             // Slowly, as heat is: a thermometer that jumps is not believed.
-            let walked = warmth_mk.saturating_add_signed(random.next_symmetric(2));
+            let walked = warmth_mk.saturating_add_signed(random.next_signed_within(2));
             *warmth_mk = walked.min(MAX_TEMPERATURE_RISE_MK);
             let [pt100, linear] = READINGS_AT_20_C;
             // 0.3851 Ω in a kelvin, 1.99 codes of 256.
@@ -275,9 +276,9 @@ impl<'a> TestVectorRunner<'a> {
                 _ => pt100.wrapping_add(warmth_mk.wrapping_mul(385)),
             };
             let raw = if fault == InjectedFault::NoTemperatures {
-                RawReading::NONE
+                RawTemperatureReading::NONE
             } else {
-                RawReading(raw.cast_signed())
+                RawTemperatureReading(raw.cast_signed())
             };
             *temperature = raw;
         }

@@ -25,7 +25,7 @@ use trueup_link::{
     status::{self, FrameRejectReason, Status, StatusItem},
 };
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
     test_vectors::XorShift32,
 };
@@ -203,7 +203,7 @@ fn flipped(numbers: impl Iterator<Item = usize>) -> Outcome {
     let all = lines_of_both();
     let mut total = Outcome::default();
     for number in numbers {
-        let mut node = Node::new(Configuration::default());
+        let mut node = Node::new(NodeConfiguration::default());
         let before = settings(&node);
         let original = all[number];
         let ears = Ears::after(&all[..number]);

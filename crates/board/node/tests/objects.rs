@@ -10,9 +10,9 @@ use trueup_canopen::{
 use trueup_core::{
     bridge::{ReferenceErrors, TickInput},
     cnc::Control,
-    dimensions::CODES_PER_TICK,
-    supply::InternalReferenceLevel,
-    thermometer::RawReading,
+    design_parameters::CODES_PER_TICK,
+    supply_monitor::InternalReferenceLevel,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, Nanometres},
 };
 use trueup_link::{
@@ -22,7 +22,7 @@ use trueup_link::{
     status::{self, StatusItem},
 };
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::{calibration::calibration_crc, reference::ReferenceStatus};
@@ -33,13 +33,13 @@ fn node() -> Node<'static> {
 
 /// Milliseconds in which the sensor reads 700.5 codes, one up and one down, and the PT100 20 °C.
 fn run(node: &mut Node<'_>, ms: u32) {
-    run_at(node, ms, RawReading(107_793_500));
+    run_at(node, ms, RawTemperatureReading(107_793_500));
 }
 
-fn run_at(node: &mut Node<'_>, ms: u32, thermometer: RawReading) {
+fn run_at(node: &mut Node<'_>, ms: u32, thermometer: RawTemperatureReading) {
     let codes: [AdcCode; CODES_PER_TICK] =
         core::array::from_fn(|n| AdcCode(if n % 2 == 0 { 700 } else { 701 }));
-    let mut temperatures = [RawReading::NONE; 8];
+    let mut temperatures = [RawTemperatureReading::NONE; 8];
     temperatures[2] = thermometer;
     for _ in 0..ms {
         let temperatures = Some(&temperatures);
@@ -88,7 +88,7 @@ fn the_noise_is_reported_in_thousandths_of_a_code_once_the_board_has_taken_it() 
 
 #[test]
 fn the_names_of_the_machine_are_read_and_without_a_calibration_there_are_none() {
-    let (named, none) = (node(), Node::new(Configuration::default()));
+    let (named, none) = (node(), Node::new(NodeConfiguration::default()));
     let texts = [(EntryContent::MachineName, "gantry"), (EntryContent::MachineSerial, "17/4")];
     for (what, text) in texts {
         assert_eq!(named.read(what), Ok(ObjectValue::Bytes(text.as_bytes())));
@@ -108,12 +108,12 @@ fn blocks_are_counted_and_a_tick_without_one_is_not() {
 #[test]
 fn the_level_that_readings_count_from_is_the_stored_one_or_that_of_the_first_seconds() {
     let mut node = node();
-    assert_eq!(node.supply_basis(), InternalReferenceLevel(0), "not known yet");
+    assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(0), "not known yet");
     (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
-    assert_eq!(node.supply_basis(), InternalReferenceLevel(1_500 * 16));
-    node.set_supply_basis(InternalReferenceLevel(24_321));
+    assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(1_500 * 16));
+    node.set_supply_baseline(InternalReferenceLevel(24_321));
     (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
-    assert_eq!(node.supply_basis(), InternalReferenceLevel(24_321));
+    assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(24_321));
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_time_that_was_set_goes_on_and_one_of_0_is_none() {
     for counter in 0..5 {
         node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
         run(&mut node, 20);
-        node.service();
+        node.next_service_frame();
     }
     for (reported, after_3_s) in [(1_790_000_000, 1_790_000_003), (0, 0)] {
         node.write(EntryContent::Utc, reported).expect("allowed");
@@ -140,17 +140,17 @@ fn a_board_that_runs_and_was_written_nothing_has_no_calibration_and_no_writes_to
     }
     assert_eq!(number(&node, EntryContent::RunningCrc), 0);
     let blob = [7; 100];
-    let node = Node::new(Configuration { blob: &blob, ..Configuration::default() });
+    let node = Node::new(NodeConfiguration { blob: &blob, ..NodeConfiguration::default() });
     assert_eq!(node.read(EntryContent::Running), Ok(ObjectValue::Bytes(&blob)));
     assert_eq!(number(&node, EntryContent::RunningCrc), calibration_crc(&blob));
 }
 
 #[test]
 fn a_board_reports_its_number_the_commit_of_its_image_and_whether_a_reference_is_in_force() {
-    let mut node = Node::new(Configuration {
+    let mut node = Node::new(NodeConfiguration {
         serial_number: 0xFEDC_BA98,
         commit: 0x1234_ABCD,
-        ..Configuration::default()
+        ..NodeConfiguration::default()
     });
     assert_eq!(number(&node, EntryContent::SerialNumber), 0xFEDC_BA98);
     assert_eq!(number(&node, EntryContent::Commit), 0x1234_ABCD);
@@ -194,13 +194,13 @@ fn every_kind_of_frame_that_was_received_has_a_count_of_its_own() {
 #[test]
 fn the_status_has_temperatures_to_the_nearest_hundredth_of_a_degree() {
     // 6 mK above 20 °C: 0.39 mΩ each.
-    const THERE: RawReading = RawReading(107_795_838);
+    const THERE: RawTemperatureReading = RawTemperatureReading(107_795_838);
     let mut node = node();
     run_at(&mut node, 1_000, THERE);
     let mut reported = [None; 8];
     for _ in 0..2_000 {
         run_at(&mut node, 1, THERE);
-        let status = node.service().and_then(|frame| status::decode(&frame).ok());
+        let status = node.next_service_frame().and_then(|frame| status::decode(&frame).ok());
         if let Some(StatusItem::Temperatures { pair, centi_c }) = status.map(|status| status.item) {
             let first = 2 * usize::from(pair);
             reported[first..first + 2].copy_from_slice(&centi_c);

@@ -51,7 +51,7 @@ const PLANTED: [(&str, &str, &str); 18] = [
         "!age.is_older_than(hold_ms.saturating_mul(3))",
     ),
     (
-        "core/src/bridge/sources.rs",
+        "core/src/bridge/source_selection.rs",
         "state.joint.shift = Nanometres::saturating_from(shift);",
         "state.joint.shift = Nanometres::saturating_from(shift.wrapping_mul(0));",
     ),
@@ -70,7 +70,7 @@ const PLANTED: [(&str, &str, &str); 18] = [
         "OFFSET_Z.insert(&mut data, z);",
         "OFFSET_Z.insert(&mut data, z.wrapping_add(1));",
     ),
-    ("store/src/retained.rs", "    crc::write_crc(copy);\n", ""),
+    ("store/src/retained_state.rs", "    crc::write_crc(copy);\n", ""),
     (
         "node/src/node.rs",
         "frames::encode_offset_z(&output, counter)]",

@@ -2,19 +2,19 @@
 
 use trueup_canopen::sdo::{
     AbortCode,
-    client::{ClientError, Download, ObjectAddress, Progress, Upload},
+    client::{Download, ObjectAddress, SdoClientError, TransferProgress, Upload},
 };
 use trueup_core::{bridge::TickInput, cnc::Control};
 use trueup_link::{frame::Frame, frames};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
-use trueup_store::{calibration::MAX_BLOB_SIZE, load::LoadOutcome};
+use trueup_store::{calibration::MAX_BLOB_SIZE, calibration_load::LoadOutcome};
 
 fn node() -> Node<'static> {
     let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
-    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
+    let mut node = Node::new(NodeConfiguration { buffer, ..NodeConfiguration::default() });
     let control = Control { service: true, ..Control::REFERENCED };
     node.receive(Interface::Serial, &frames::encode_control(control, 0)).expect("the first");
     node
@@ -29,21 +29,21 @@ fn responses_to(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
     (0..20)
         .flat_map(|_| {
             let offsets = node.tick(1, TickInput::default());
-            offsets.into_iter().chain(node.service()).collect::<Vec<_>>()
+            offsets.into_iter().chain(node.next_service_frame()).collect::<Vec<_>>()
         })
         .collect()
 }
 
-fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, ClientError> {
+fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, SdoClientError> {
     let (mut upload, mut next) = Upload::start(at);
     let mut bytes = Vec::new();
     for _ in 0..5_000 {
         let mut requested = None;
         for frame in responses_to(node, next) {
             match upload.receive(&frame, &mut bytes)? {
-                Progress::Unchanged => {}
-                Progress::Ask(request) => requested = Some(request),
-                Progress::Done => return Ok(bytes),
+                TransferProgress::Unchanged => {}
+                TransferProgress::Request(request) => requested = Some(request),
+                TransferProgress::Done => return Ok(bytes),
             }
         }
         next = requested.expect("an answer");
@@ -51,15 +51,15 @@ fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, ClientError
     panic!("no end");
 }
 
-fn download(node: &mut Node<'_>, at: ObjectAddress, data: &[u8]) -> Result<(), ClientError> {
+fn download(node: &mut Node<'_>, at: ObjectAddress, data: &[u8]) -> Result<(), SdoClientError> {
     let (mut download, mut next) = Download::start(at, data);
     for _ in 0..5_000 {
         let mut requested = None;
         for frame in responses_to(node, next) {
             match download.receive(&frame)? {
-                Progress::Unchanged => {}
-                Progress::Ask(request) => requested = Some(request),
-                Progress::Done => return Ok(()),
+                TransferProgress::Unchanged => {}
+                TransferProgress::Request(request) => requested = Some(request),
+                TransferProgress::Done => return Ok(()),
             }
         }
         next = requested.expect("an answer");
@@ -81,7 +81,7 @@ fn numbers_texts_and_domains_go_both_ways() {
         let sent = download(&mut node, (0x2100, 2), &bytes);
         if length <= 4 {
             let code = AbortCode::TooShort.code();
-            assert_eq!(sent, Err(ClientError::Aborted { at: (0x2100, 2), code }));
+            assert_eq!(sent, Err(SdoClientError::Aborted { at: (0x2100, 2), code }));
         } else {
             assert_eq!(sent, Ok(()), "{length} bytes");
             assert_eq!(upload(&mut node, (0x2100, 2)), Ok(bytes), "{length} bytes");

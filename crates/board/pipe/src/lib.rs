@@ -33,7 +33,7 @@
 extern crate std;
 
 use trueup_core::{
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_link::frame::{Frame, FrameError};
@@ -41,7 +41,7 @@ use trueup_link::frame::{Frame, FrameError};
 /// ADC samples in one millisecond.
 pub(crate) const SAMPLES_PER_BLOCK: usize = 20;
 /// Temperature channels in a block.
-pub(crate) const TEMPERATURE_COUNT: usize = 8;
+pub(crate) const TEMPERATURES_PER_BLOCK: usize = 8;
 /// CAN frames that fit a block.
 pub const FRAMES_PER_BLOCK: usize = 5;
 /// Bytes in a block.
@@ -57,10 +57,10 @@ const RESTART_ID: u16 = 0xFFFE;
 /// Inputs of the board in one millisecond.
 ///
 /// ```
-/// use trueup_core::thermometer::RawReading;
+/// use trueup_core::thermometer::RawTemperatureReading;
 /// use trueup_pipe::Block;
 /// let mut block = Block::default();
-/// block.temperatures[1] = RawReading(109_734_656); // a PT100 at 25 °C
+/// block.temperatures[1] = RawTemperatureReading(109_734_656); // a PT100 at 25 °C
 /// let bytes = block.encode()?;
 /// assert_eq!(bytes[44..52], [0x00, 0x00, 0x00, 0x80, 0x00, 0x6B, 0x8A, 0x06]);
 /// assert_eq!(Block::decode(&bytes), Ok(block));
@@ -76,7 +76,7 @@ pub struct Block {
     /// The service switch is closed.
     pub service_switch: bool,
     /// Temperatures, as each channel delivers them.
-    pub temperatures: [RawReading; TEMPERATURE_COUNT],
+    pub temperatures: [RawTemperatureReading; TEMPERATURES_PER_BLOCK],
     /// Frames from the CNC, of 8 bytes.
     pub frames: [Option<Frame>; FRAMES_PER_BLOCK],
 }
@@ -88,7 +88,7 @@ impl Default for Block {
             codes: [AdcCode(0); SAMPLES_PER_BLOCK],
             speed: None,
             service_switch: false,
-            temperatures: [RawReading::NONE; TEMPERATURE_COUNT],
+            temperatures: [RawTemperatureReading::NONE; TEMPERATURES_PER_BLOCK],
             frames: [None; FRAMES_PER_BLOCK],
         }
     }
@@ -146,7 +146,7 @@ impl Block {
             ..Self::default()
         };
         for (raw, place) in block.temperatures.iter_mut().zip(temperatures.as_chunks().0) {
-            *raw = RawReading(i32::from_le_bytes(*place));
+            *raw = RawTemperatureReading(i32::from_le_bytes(*place));
         }
         for (frame, (slot, place)) in block.frames.iter_mut().zip(slots.iter().enumerate()) {
             *frame = decode_slot(slot, place)?;
@@ -160,7 +160,7 @@ const HEADER_SIZE: usize = 2 * SAMPLES_PER_BLOCK + 4;
 /// Offset of the switches after the speed.
 const SWITCHES_OFFSET: usize = HEADER_SIZE - 2;
 /// Bytes of the temperatures.
-const TEMPERATURES_SIZE: usize = 4 * TEMPERATURE_COUNT;
+const TEMPERATURES_SIZE: usize = 4 * TEMPERATURES_PER_BLOCK;
 /// Bytes of a frame in a block.
 const SLOT_SIZE: usize = 10;
 /// Offset of what is reserved after the frames.
@@ -308,8 +308,8 @@ mod tests {
         let mut block = Block { speed: Some(Rpm(0x1234)), ..Block::default() };
         block.frames[1] = Some(frame(0x302, &[1, 2, 3, 4, 5, 6, 7, 8]));
         block.frames[4] = Some(frame(0x501, &[9; 8]));
-        block.temperatures[0] = RawReading(0x0102_0304);
-        block.temperatures[7] = RawReading(-2);
+        block.temperatures[0] = RawTemperatureReading(0x0102_0304);
+        block.temperatures[7] = RawTemperatureReading(-2);
         block.codes[0] = AdcCode(0x0ABC);
         block.codes[19] = AdcCode(0x0DEF);
         let bytes = block.encode().unwrap();
@@ -328,7 +328,7 @@ mod tests {
     fn a_block_that_says_nothing_brings_nothing() {
         let block = Block::default();
         assert_eq!(block.speed, None);
-        assert_eq!(block.temperatures, [RawReading(i32::MIN); TEMPERATURE_COUNT]);
+        assert_eq!(block.temperatures, [RawTemperatureReading(i32::MIN); TEMPERATURES_PER_BLOCK]);
         assert_eq!(block.frames, [None; FRAMES_PER_BLOCK]);
         assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
     }
@@ -397,14 +397,14 @@ mod tests {
         #[test]
         fn a_block_comes_back_whole(
             codes in prop::array::uniform20(any::<u16>()), speed in prop::option::of(0_u16..0xFFFF),
-            service_switch: bool, temperatures: [i32; TEMPERATURE_COUNT],
+            service_switch: bool, temperatures: [i32; TEMPERATURES_PER_BLOCK],
             frames in prop::array::uniform5(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
         ) {
             let block = Block {
                 codes: codes.map(AdcCode),
                 speed: speed.map(Rpm),
                 service_switch,
-                temperatures: temperatures.map(RawReading),
+                temperatures: temperatures.map(RawTemperatureReading),
                 frames: frames.map(|slot| slot.map(|(id, data)| frame(id, &data))),
             };
             prop_assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));

@@ -75,9 +75,9 @@ use trueup_core::calibration::Calibration;
 
 use crate::crc;
 
+mod blob_fields;
+mod blob_format;
 mod error;
-mod format;
-mod quantities;
 mod records;
 mod terms;
 #[cfg(test)]
@@ -85,13 +85,13 @@ pub(crate) mod tests;
 mod volume;
 mod wire;
 
-pub use error::{BlobError, CalibrationTooLarge};
-pub(crate) use format::FIXED_PART_SIZE;
-use format::{CRC_SIZE, HEADER_SIZE, MAGIC, SCHEMA_VERSION};
-pub use format::{
+pub(crate) use blob_format::FIXED_PART_SIZE;
+use blob_format::{BLOB_MAGIC, CRC_SIZE, HEADER_SIZE, SCHEMA_VERSION};
+pub use blob_format::{
     MAX_BLOB_SIZE, MAX_COLD_TOLERANCE, MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS,
     MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SLEW_NM_PER_S,
 };
+pub use error::{BlobError, CalibrationTooLarge};
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};
 
@@ -114,7 +114,7 @@ pub fn encode<'o>(
         return Err(CalibrationTooLarge { bytes });
     };
     to.write_at(0, |to| {
-        to.write_bytes(&MAGIC);
+        to.write_bytes(&BLOB_MAGIC);
         to.write_bytes(&SCHEMA_VERSION.to_le_bytes());
         to.write_bytes(&length.to_le_bytes());
     });
@@ -132,7 +132,7 @@ pub fn validate_blob(bytes: &[u8]) -> Result<&[u8], BlobError> {
     let &[m0, m1, m2, m3, schema_low, schema_high, length_low, length_high] =
         bytes.first_chunk().ok_or(too_short)?;
     let magic = [m0, m1, m2, m3];
-    if magic != MAGIC {
+    if magic != BLOB_MAGIC {
         return Err(BlobError::Magic { found: magic });
     }
     let schema = u16::from_le_bytes([schema_low, schema_high]);

@@ -27,7 +27,7 @@ use crate::{
     calibration::{self, MAX_BLOB_SIZE},
     crc,
     flash_log::{
-        CHUNK_SIZE, FlashLog, Half, RecordCounts, Slot, StoreError, WORD_SIZE, write_and_verify,
+        CHUNK_SIZE, FlashLog, LogHalf, RecordCounts, Slot, StoreError, WORD_SIZE, write_and_verify,
     },
 };
 
@@ -110,7 +110,7 @@ impl<F: NorFlash> CalibrationStore<F> {
     /// checked.
     pub fn open(flash: F, base: Option<u32>, buffer: &mut [u8]) -> (Self, CalibrationScan) {
         let mut found = CalibrationScan::default();
-        let (mut half, mut only): (Option<Half>, _) = (None, RecordCounts::default());
+        let (mut half, mut only): (Option<LogHalf>, _) = (None, RecordCounts::default());
         // The largest number of a damaged one, and of any record before each head that is none.
         let (mut last, mut damaged) = (0, None);
         let mut log = FlashLog::open(flash, SLOT_SIZE, |flash, slot| {
@@ -157,7 +157,7 @@ impl<F: NorFlash> CalibrationStore<F> {
     /// [`StoreError`]; what was stored before still counts.
     pub fn store(&mut self, blob: &[u8], mut between: impl FnMut()) -> Result<u32, StoreError> {
         if blob.len() > MAX_BLOB_SIZE {
-            return Err(StoreError::NotTaken);
+            return Err(StoreError::WriteFailed);
         }
         let (base, identity) = (self.base.unwrap_or(0), calibration::calibration_crc(blob));
         self.alone = None;

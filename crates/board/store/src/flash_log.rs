@@ -37,7 +37,7 @@ pub(crate) const CHUNK_SIZE: usize = CHUNK_LEN as usize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slot {
     /// The half that it is in.
-    pub half: Half,
+    pub half: LogHalf,
     number: u32,
     /// Offset of its first byte in the flash.
     pub address: u32,
@@ -45,12 +45,12 @@ pub(crate) struct Slot {
 
 /// One half of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Half {
+pub(crate) enum LogHalf {
     First,
     Second,
 }
 
-impl Half {
+impl LogHalf {
     const fn other(self) -> Self {
         match self {
             Self::First => Self::Second,
@@ -68,19 +68,19 @@ pub(crate) struct RecordCounts {
 
 impl RecordCounts {
     /// A record of the owner was found in this half.
-    pub(crate) fn count_record(&mut self, half: Half) {
+    pub(crate) fn count_record(&mut self, half: LogHalf) {
         let count = match half {
-            Half::First => &mut self.first,
-            Half::Second => &mut self.second,
+            LogHalf::First => &mut self.first,
+            LogHalf::Second => &mut self.second,
         };
         *count = count.saturating_add(1);
     }
 
     /// Returns whether there is one alone in this half, and in the other one what counted before it.
-    pub(crate) const fn has_sole_record_in(self, half: Half) -> bool {
+    pub(crate) const fn has_sole_record_in(self, half: LogHalf) -> bool {
         let (own, others) = match half {
-            Half::First => (self.first, self.second),
-            Half::Second => (self.second, self.first),
+            LogHalf::First => (self.first, self.second),
+            LogHalf::Second => (self.second, self.first),
         };
         own == 1 && others > 0
     }
@@ -106,7 +106,7 @@ pub(crate) struct FlashLog<F> {
     first: HalfUsage,
     second: HalfUsage,
     /// The half that is written to.
-    active: Half,
+    active: LogHalf,
 }
 
 impl<F: NorFlash> FlashLog<F> {
@@ -118,9 +118,10 @@ impl<F: NorFlash> FlashLog<F> {
         mut read: impl FnMut(&mut F, Slot) -> Option<u32>,
     ) -> Self {
         let empty = HalfUsage::default();
-        let mut log = Self { flash, slot_size, first: empty, second: empty, active: Half::First };
+        let mut log =
+            Self { flash, slot_size, first: empty, second: empty, active: LogHalf::First };
         let mut part = [0; CHUNK_SIZE];
-        for half in [Half::First, Half::Second] {
+        for half in [LogHalf::First, LogHalf::Second] {
             for number in 0..log.slots_per_half() {
                 let slot = log.slot(half, number);
                 if log.is_erased(slot, &mut part) {
@@ -130,7 +131,7 @@ impl<F: NorFlash> FlashLog<F> {
                 match read(&mut log.flash, slot) {
                     Some(sequence) => log.update_newest(slot, sequence),
                     None => {
-                        let content = log.half_usage(half);
+                        let content = log.half_usage_mut(half);
                         content.unread = content.unread.saturating_add(1);
                     }
                 }
@@ -144,7 +145,7 @@ impl<F: NorFlash> FlashLog<F> {
         let second_is_ahead = second.newest > first.newest
             || (second.newest == first.newest && first_is_full && second.used < first.used);
         if second_is_ahead {
-            log.active = Half::Second;
+            log.active = LogHalf::Second;
         }
         log
     }
@@ -175,10 +176,10 @@ impl<F: NorFlash> FlashLog<F> {
                 return Ok((sequence, slot));
             }
             // Only the reading of it may have been wrong.
-            let content = self.half_usage(slot.half);
+            let content = self.half_usage_mut(slot.half);
             content.unread = content.unread.saturating_add(1);
         }
-        Err(StoreError::NotTaken)
+        Err(StoreError::WriteFailed)
     }
 
     /// Empties the half that is not active, if it is not empty. Gives whether it had to. The erase
@@ -199,57 +200,57 @@ impl<F: NorFlash> FlashLog<F> {
         {
             return Err(StoreError::NotErased);
         }
-        *self.half_usage(spare) = HalfUsage::default();
+        *self.half_usage_mut(spare) = HalfUsage::default();
         Ok(true)
     }
 
     /// Makes this half the active one, so that [`Self::erase_spare_half`] leaves it alone.
-    pub(crate) fn set_active_half(&mut self, half: Half) {
+    pub(crate) fn set_active_half(&mut self, half: LogHalf) {
         self.active = half;
     }
 
     /// Returns the half that is written to, which [`Self::erase_spare_half`] leaves alone.
-    pub(crate) const fn active_half(&self) -> Half {
+    pub(crate) const fn active_half(&self) -> LogHalf {
         self.active
     }
 
     /// Returns whether there is anything in the half that is not active.
     pub(crate) fn is_spare_half_used(&mut self) -> bool {
-        self.half_usage(self.active.other()).used > 0
+        self.half_usage_mut(self.active.other()).used > 0
     }
 
     /// Returns whether the active half takes another record.
     pub(crate) fn has_free_slot(&mut self) -> bool {
-        self.half_usage(self.active).used < self.slots_per_half()
+        self.half_usage_mut(self.active).used < self.slots_per_half()
     }
 
     /// Where the next record goes.
     fn next_slot(&mut self) -> Result<Slot, StoreError> {
         let spare = self.active.other();
         if self.has_free_slot() {
-            let number = self.half_usage(self.active).used;
+            let number = self.half_usage_mut(self.active).used;
             Ok(self.slot(self.active, number))
-        } else if self.half_usage(spare).used == 0 && self.slots_per_half() > 0 {
+        } else if self.half_usage_mut(spare).used == 0 && self.slots_per_half() > 0 {
             Ok(self.slot(spare, 0))
         } else {
             Err(StoreError::Full)
         }
     }
 
-    const fn half_usage(&mut self, half: Half) -> &mut HalfUsage {
+    const fn half_usage_mut(&mut self, half: LogHalf) -> &mut HalfUsage {
         match half {
-            Half::First => &mut self.first,
-            Half::Second => &mut self.second,
+            LogHalf::First => &mut self.first,
+            LogHalf::Second => &mut self.second,
         }
     }
 
     fn mark_used(&mut self, slot: Slot) {
-        let content = self.half_usage(slot.half);
+        let content = self.half_usage_mut(slot.half);
         content.used = content.used.max(slot.number.saturating_add(1));
     }
 
     fn update_newest(&mut self, slot: Slot, sequence: u32) {
-        let content = self.half_usage(slot.half);
+        let content = self.half_usage_mut(slot.half);
         content.newest = content.newest.max(sequence);
     }
 
@@ -262,10 +263,10 @@ impl<F: NorFlash> FlashLog<F> {
         self.half_size().checked_div(self.slot_size).unwrap_or(0)
     }
 
-    fn slot(&self, half: Half, number: u32) -> Slot {
+    fn slot(&self, half: LogHalf, number: u32) -> Slot {
         let start = match half {
-            Half::First => 0,
-            Half::Second => self.half_size(),
+            LogHalf::First => 0,
+            LogHalf::Second => self.half_size(),
         };
         let address = start.saturating_add(number.saturating_mul(self.slot_size));
         Slot { half, number, address }
@@ -315,7 +316,7 @@ pub enum StoreError {
     Full,
     /// The flash did not take the record.
     #[error("the flash does not take it")]
-    NotTaken,
+    WriteFailed,
     /// The flash was not emptied.
     #[error("the flash is not emptied")]
     NotErased,
@@ -369,7 +370,7 @@ mod tests {
     fn each_reason_has_words_of_its_own() {
         for (error, words) in [
             (StoreError::Full, "full until the next start"),
-            (StoreError::NotTaken, "does not take it"),
+            (StoreError::WriteFailed, "does not take it"),
             (StoreError::NotErased, "not emptied"),
         ] {
             assert!(error.to_string().contains(words), "{error}");

@@ -17,13 +17,13 @@ extern crate std;
 
 pub mod calendar;
 pub mod calibration;
+pub mod calibration_load;
 pub mod calibration_store;
 mod crc;
 mod flash_log;
-pub mod load;
 pub mod rate_limit;
 pub mod reference;
-pub mod retained;
+pub mod retained_state;
 #[cfg(any(test, feature = "strict-flash"))]
 #[allow(
     clippy::arithmetic_side_effects,

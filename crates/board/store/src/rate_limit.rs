@@ -44,7 +44,7 @@ impl RateLimiter {
 
     /// Returns the permission where a record may be stored now: the first one at once.
     #[must_use]
-    pub const fn permit(&self) -> Option<StorePermit> {
+    pub const fn store_permit(&self) -> Option<StorePermit> {
         if self.until_ms == 0 { Some(StorePermit(())) } else { None }
     }
 
@@ -67,7 +67,7 @@ mod tests {
             pace.advance_time(10);
             // As a turn of the supervisor does: what holds for the calibration first, then a write.
             for _ in 0..2 {
-                if let Some(permit) = pace.permit() {
+                if let Some(permit) = pace.store_permit() {
                     pace.record(permit);
                     stored.push(turn * 10);
                 }

@@ -23,13 +23,13 @@
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{
     bridge::ReferenceErrors,
-    supply::InternalReferenceLevel,
+    supply_monitor::InternalReferenceLevel,
     units::{FineNanometres, Nanometres},
 };
 
 use crate::{
     crc,
-    flash_log::{FlashLog, Half, RecordCounts, StoreError, write_and_verify},
+    flash_log::{FlashLog, LogHalf, RecordCounts, StoreError, write_and_verify},
     write_log::{self, WriteKind, WriteLog, WriteRecord},
 };
 
@@ -160,11 +160,11 @@ pub struct ReferenceStore<F> {
     log: FlashLog<F>,
     calibration: u32,
     /// The state of this calibration, and the half that its record is in; `None`: it is not stored yet.
-    current: Option<(ReferenceStatus, Option<Half>)>,
+    current: Option<(ReferenceStatus, Option<LogHalf>)>,
     /// The write that has named the board's machine, and the half that it is in.
-    named: Option<(WriteRecord, Half)>,
+    named: Option<(WriteRecord, LogHalf)>,
     /// The same of the one that has taken or offered the reference.
-    taken: Option<(WriteRecord, Half)>,
+    taken: Option<(WriteRecord, LogHalf)>,
     writes: WriteLog,
     /// Goes into every record.
     supply: InternalReferenceLevel,
@@ -250,7 +250,7 @@ impl<F: NorFlash> ReferenceStore<F> {
                     update_if_newer(&mut taken, write, slot.half);
                 }
                 events.record_write(calibration, &write);
-                insert_by_sequence(&mut oldest_first, write);
+                insert_record_by_sequence(&mut oldest_first, write);
                 return Some(write.sequence);
             }
             let Some(record) = is_read.then(|| ReferenceRecord::decode(&bytes)).flatten() else {
@@ -329,7 +329,7 @@ impl<F: NorFlash> ReferenceStore<F> {
     }
 
     /// Records from now on say that their references count from this level of the supply.
-    pub fn set_supply_basis(&mut self, supply: InternalReferenceLevel) {
+    pub fn set_supply_baseline(&mut self, supply: InternalReferenceLevel) {
         self.supply = supply;
     }
 
@@ -361,7 +361,7 @@ impl<F: NorFlash> ReferenceStore<F> {
         // What still counts moves on before its half goes, and is written anew where it would be left
         // alone: a power cut may have torn it. Where there is no room for it, after.
         let (active, has_spare) = (self.log.active_half(), self.log.is_spare_half_used());
-        let moves = |half: Half, only: RecordCounts| {
+        let moves = |half: LogHalf, only: RecordCounts| {
             half != active || has_spare && only.has_sole_record_in(active)
         };
         let standing =
@@ -399,14 +399,14 @@ const fn is_reference_write(what: WriteKind) -> bool {
 }
 
 /// Keeps the newer one.
-fn update_if_newer(newest: &mut Option<(WriteRecord, Half)>, write: WriteRecord, half: Half) {
+fn update_if_newer(newest: &mut Option<(WriteRecord, LogHalf)>, write: WriteRecord, half: LogHalf) {
     if newest.is_none_or(|(other, _)| write.sequence > other.sequence) {
         *newest = Some((write, half));
     }
 }
 
 /// Keeps the newest, the oldest first, whatever order they come in.
-fn insert_by_sequence(
+fn insert_record_by_sequence(
     all: &mut [Option<WriteRecord>; write_log::WRITE_LOG_CAPACITY],
     mut write: WriteRecord,
 ) {

@@ -17,7 +17,7 @@
 //! longer columns of the run, so that they explain nothing.
 
 mod factor;
-mod interval;
+mod factor_estimate;
 mod troubleshooting;
 mod two_stage_least_squares;
 
@@ -26,18 +26,18 @@ use std::{borrow::Cow, ops::Deref};
 use crate::{
     compile::compile,
     effect::Quantity,
-    file::Machine,
     location::InputFileError,
+    machine_file::Machine,
     model::tool_direction,
     run_file::RunFile,
     sections::{LinearAxis, RotaryAxis},
 };
 
 pub use factor::{
-    OffsetApplication, PairedRuns, estimate_application, is_fully_compensated, predict_um,
+    OffsetApplication, PairedRuns, estimate_offset_application, is_fully_compensated, predict_um,
     require_unit_factor,
 };
-pub use interval::FactorEstimate;
+pub use factor_estimate::FactorEstimate;
 pub use troubleshooting::repeat_run_instruction;
 
 /// The quality of the offsets in a row, 0…6.
@@ -45,7 +45,7 @@ const QUALITY_COLUMN: &str = "quality";
 /// The CRC of the calibration that the bridge ran, as a decimal number; 0: none.
 const CALIBRATION_CRC_COLUMN: &str = "calibration_crc";
 /// Further columns by which a bridge reports its state.
-const STATE_COLUMNS: [&str; 2] = ["flags", "age_ms"];
+const BRIDGE_STATE_COLUMNS: [&str; 2] = ["flags", "age_ms"];
 /// From this quality on (hold, ramping out, fault) the offset is not the error's opposite, or not
 /// known to be followed (`docs/book/src/offsets.md`).
 const MIN_UNUSABLE_QUALITY: f64 = 4.0;
@@ -145,7 +145,7 @@ pub fn applied_offsets_um(
         left_um.into_iter().map(|um| -um).collect()
     });
     let file = run.path().display();
-    notes.extend(account.notes("radial deviation").map(|note| format!("{file}: {note}")));
+    notes.extend(account.exclusion_notes("radial deviation").map(|note| format!("{file}: {note}")));
     Ok(Some((offsets, notes)))
 }
 
@@ -185,7 +185,7 @@ fn subtract_applied_offsets(
             }
             None => {
                 let (values, account) = record.subtract_offset(measured, quantity);
-                notes.extend(account.notes(&name).map(|note| format!("{file}: {note}")));
+                notes.extend(account.exclusion_notes(&name).map(|note| format!("{file}: {note}")));
                 let rows = measured.iter().zip(&values);
                 offset_um
                     .push((quantity, rows.map(|(measured, error)| measured - error).collect()));
@@ -198,7 +198,7 @@ fn subtract_applied_offsets(
     }
     let states_quality = |name: &str| {
         [QUALITY_COLUMN, CALIBRATION_CRC_COLUMN].contains(&name)
-            || STATE_COLUMNS.contains(&name)
+            || BRIDGE_STATE_COLUMNS.contains(&name)
             || LinearAxis::ALL.iter().any(|axis| offset_column_name(*axis) == name)
     };
     cleaned.remove_columns(states_quality);
@@ -266,7 +266,7 @@ struct BridgeRecord<'r> {
 }
 
 /// Returns the rows from which on no offset was available for longer than a CNC takes to go to 0.
-fn find_withdrawn_rows(run: &RunFile, machine: Option<&Machine>, quality: &[f64]) -> Vec<bool> {
+fn offset_withdrawn_mask(run: &RunFile, machine: Option<&Machine>, quality: &[f64]) -> Vec<bool> {
     let limits = machine.map(|machine| machine.limits).unwrap_or_default();
     let way_um = limits.max_um.into_iter().fold(0.0, f64::max);
     let lasts_s = f64::from(limits.hold_ms) / 1e3 + way_um / limits.slew_um_per_s + MAX_CNC_DELAY_S;
@@ -294,7 +294,7 @@ struct ExcludedRowCounts {
 }
 
 impl ExcludedRowCounts {
-    fn notes(&self, name: &str) -> impl Iterator<Item = String> {
+    fn exclusion_notes(&self, name: &str) -> impl Iterator<Item = String> {
         let excluded_rows = |count: usize, why: &str| {
             let rows = self.rows;
             (count > 0).then(|| format!("{name}: {count} of {rows} rows are excluded: {why}"))
@@ -325,7 +325,7 @@ impl<'r> BridgeRecord<'r> {
         check_quality(run, quality)?;
         let file = run.path().display();
         notes.extend(check_calibration(run, machine)?.map(|note| format!("{file}: {note}")));
-        let offset_withdrawn = find_withdrawn_rows(run, machine, quality);
+        let offset_withdrawn = offset_withdrawn_mask(run, machine, quality);
         Ok(Some(Self { run, machine, quality, offsets, offset_withdrawn }))
     }
 }
@@ -347,7 +347,7 @@ impl BridgeRecord<'_> {
             return missing(&axis).then(|| offset_column_name(axis));
         }
         let turns = !self.head_axes().is_empty();
-        let at_zero = self.tool_direction_at_zero();
+        let at_zero = self.tool_direction_at_zero_angles();
         let of_tool = |axis: &LinearAxis| turns || at_zero[axis.index()] != 0.0;
         if let Some(axis) = LinearAxis::ALL.into_iter().find(|axis| of_tool(axis) && missing(axis))
         {
@@ -357,7 +357,7 @@ impl BridgeRecord<'_> {
         self.head_axes().iter().find(angle).map(|axis| format!("{}_deg", axis.name()))
     }
 
-    fn tool_direction_at_zero(&self) -> [f64; 3] {
+    fn tool_direction_at_zero_angles(&self) -> [f64; 3] {
         self.machine.map_or([0.0, 0.0, -1.0], |machine| machine.tool_direction)
     }
 
@@ -396,7 +396,11 @@ impl BridgeRecord<'_> {
                 Some(axis) => offset[axis.index()],
                 None => project_onto_tool(
                     offset,
-                    tool_direction(self.tool_direction_at_zero(), self.head_axes(), angles.map(at)),
+                    tool_direction(
+                        self.tool_direction_at_zero_angles(),
+                        self.head_axes(),
+                        angles.map(at),
+                    ),
                 ),
             };
             let value = measured[row] - applied;

@@ -19,7 +19,7 @@ pub fn open(path: &Path, most_bytes: u64) -> Result<File, InputFileError> {
     let file = File::open(path).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
     if bytes > most_bytes {
-        return Err(bad(format!("has {bytes} bytes, {}", size_limit_text(most_bytes))));
+        return Err(bad(format!("has {bytes} bytes, {}", describe_size_limit(most_bytes))));
     }
     Ok(file)
 }
@@ -36,7 +36,7 @@ pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>, InputFileError> {
         .read_to_end(&mut bytes)
         .map_err(|error| bad(format!("cannot be read: {error}")))?;
     if bytes.len() as u64 > most_bytes {
-        return Err(bad(format!("has no end so far, {}", size_limit_text(most_bytes))));
+        return Err(bad(format!("has no end so far, {}", describe_size_limit(most_bytes))));
     }
     Ok(bytes)
 }
@@ -57,7 +57,7 @@ pub fn read_text(path: &Path, most_bytes: u64) -> Result<String, InputFileError>
 }
 
 /// Returns the end of a sentence that states a bound.
-pub(crate) fn size_limit_text(bytes: u64) -> String {
+pub(crate) fn describe_size_limit(bytes: u64) -> String {
     const MEBIBYTE: u64 = 1 << 20;
     format!("more than the {} MiB that are read", bytes / MEBIBYTE)
 }

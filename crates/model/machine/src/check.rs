@@ -29,7 +29,7 @@ pub(crate) mod error_bounds;
 mod geometry;
 mod limits;
 mod no_correction;
-mod range;
+mod plausibility;
 mod run;
 mod sensor;
 mod summary;
@@ -38,18 +38,18 @@ mod thermometer_rate;
 mod units;
 mod warning;
 
-use crate::{file::Machine, run_file::RunFile};
+use crate::{machine_file::Machine, run_file::RunFile};
 
-pub use conditions::suggest_conditions;
+pub use conditions::suggest_condition_columns;
 pub use no_correction::no_correction_warning;
-pub use range::{ImplausibleValue, Plausibility, combine_rejected_findings};
-pub use summary::{AxisSummary, Summary};
+pub use plausibility::{ImplausibleValue, Plausibility, combine_rejected_findings};
+pub use summary::{AxisSummary, MachineSummary};
 pub use warning::Warning;
 
 /// Returns the values of the machine file that are outside the ranges of machines, in the order of its lines.
 #[must_use]
 pub fn range_findings(machine: &Machine) -> Vec<ImplausibleValue> {
-    let mut findings = range::machine_findings(machine);
+    let mut findings = plausibility::machine_findings(machine);
     findings.sort_by_key(|finding| (finding.warning.place.line, finding.warning.place.column));
     findings
 }
@@ -68,13 +68,14 @@ pub fn machine_warnings(machine: &Machine) -> Vec<Warning> {
     ];
     let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
     // A rule knows more of its key than the table does.
-    let of_table = range::machine_findings(machine).into_iter().map(|finding| finding.warning);
+    let of_table =
+        plausibility::machine_findings(machine).into_iter().map(|finding| finding.warning);
     let is_new = |warnings: &[Warning], warning: &Warning| {
         warnings.iter().all(|other| other.place != warning.place)
     };
     let new: Vec<Warning> = of_table.filter(|warning| is_new(&warnings, warning)).collect();
     warnings.extend(new);
-    sorted_by_location(warnings.into_iter())
+    sort_warnings_by_location(warnings.into_iter())
 }
 
 /// Everything in the run that is unlikely to be meant, in the order of its places; held against the
@@ -86,7 +87,7 @@ pub fn run_warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
         what: typo.rule,
         help: typo.help.unwrap_or_default(),
     });
-    sorted_by_location(of_names.chain(value_warnings(run, machine, &[])))
+    sort_warnings_by_location(of_names.chain(value_warnings(run, machine, &[])))
 }
 
 /// Returns the same without what the names of the columns say, for a command that says that itself.
@@ -130,7 +131,7 @@ pub fn run_remarks(run: &RunFile) -> Vec<Warning> {
     clock::check_clock(run).remarks
 }
 
-fn sorted_by_location(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {
+fn sort_warnings_by_location(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {
     let mut warnings: Vec<Warning> = warnings.collect();
     warnings.sort_by_key(|warning| (warning.place.line, warning.place.column));
     warnings

@@ -2,7 +2,7 @@
 //!
 //! One page a section of the machine file, with both ways next to each other: what goes there and
 //! what comes back is seen together. Each part is held against the model, and refused where it is
-//! further from it than `MAX_DIFFERENCE_NM`; a page says how it is measured.
+//! further from it than `MAX_MODEL_DIFFERENCE_NM`; a page says how it is measured.
 //!
 //! The way back, [`decompile`], gives a machine that compiles to the calibration: the board knows
 //! readings, not the PLC's counts, and neither the machine's name nor those of its columns.
@@ -33,8 +33,8 @@ use trueup_store::calibration::{
 
 use crate::{
     envelope,
-    file::{self, Machine},
-    location::{InputFileError, Locations},
+    location::{InputFileError, KeyLocations},
+    machine_file::{self, Machine},
     model,
     sections::{LinearAxis, Straightness},
 };
@@ -91,13 +91,13 @@ impl CompiledCalibration {
 ///
 /// # Errors
 /// Something that is in use is not described in `[inputs]`, a value does not fit the board's integer
-/// for it, a part would be further than `MAX_DIFFERENCE_NM` from the model, a slope is beyond
+/// for it, a part would be further than `MAX_MODEL_DIFFERENCE_NM` from the model, a slope is beyond
 /// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::check_envelope`]), or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError> {
     let whole = machine;
     term::category::reject_unnumbered_tools(machine)?;
-    let (machine, falling) = model::apply_constant_terms(machine.with_compensated_terms());
+    let (machine, falling) = model::apply_constant_terms(machine.with_only_compensated_terms());
     let machine = &*term::with_thermal_laws(machine)?;
     check_slopes(machine)?;
     let mut account = PartDifferences { machine, parts: Vec::new() };
@@ -113,18 +113,18 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError>
         let key = format!("straightness.{}", straightness.name());
         let made = compile_curve(&straightness.spline);
         curves[axis_pair_index(straightness.error, straightness.along)] =
-            account.check_and_record(&key, made)?;
+            account.check_and_record_difference(&key, made)?;
     }
     let mut squareness = [Gradient::ZERO; 6];
     for entry in &machine.squareness {
         let key = format!("squareness.{}", entry.name());
         let made = compile_squareness(entry.um_per_m);
         squareness[axis_pair_index(entry.error, entry.along)] =
-            account.check_and_record(&key, made)?;
+            account.check_and_record_difference(&key, made)?;
     }
     let volume = volume::compile(machine, &mut account)?;
     let terms = term::compile_terms(machine, &mut account)?;
-    let [x, y, z] = [0, 1, 2].map(|number| axis::axis_model(machine, number, &axes[number]));
+    let [x, y, z] = [0, 1, 2].map(|number| axis::compile_axis(machine, number, &axes[number]));
     let calibration = Calibration {
         thermometers: compile_thermometers(machine)?,
         spindle: spindle.view(machine)?,
@@ -191,12 +191,12 @@ pub fn decompile(calibration: &Calibration<'_>) -> Machine {
     if tools.is_some() {
         terms.pop();
     }
-    let spindle = file::Spindle { tools, ..spindle::decompile(&calibration.spindle) };
+    let spindle = machine_file::Spindle { tools, ..spindle::decompile(&calibration.spindle) };
     let guards = &calibration.guards;
     Machine {
-        name: machine_identity::decompile_name(calibration.names.machine)
+        name: machine_identity::decode_name(calibration.names.machine)
             .unwrap_or_else(|| DEFAULT_MACHINE_NAME.into()),
-        serial: machine_identity::decompile_name(calibration.names.serial),
+        serial: machine_identity::decode_name(calibration.names.serial),
         board: Some(calibration.names.board).filter(|board| *board != [0; 3]),
         kind,
         head_axes,
@@ -222,7 +222,7 @@ pub fn decompile(calibration: &Calibration<'_>) -> Machine {
         cold_within_c: machine_identity::decompile_cold_tolerance_c(calibration.cold_within),
         instrument_um: None,
         terms,
-        places: Locations::default(),
+        places: KeyLocations::default(),
     }
 }
 

@@ -6,8 +6,8 @@
 //! calibration that no machine file compiles to (one that was not written by
 //! [`compile`](mod@crate::compile)) is shown as well, with the reason.
 
-pub mod changes;
-mod difference;
+pub mod calibration_changes;
+mod calibration_difference;
 
 use std::path::Path;
 
@@ -15,11 +15,11 @@ use trueup_core::{calibration::Calibration, units::AdcCode};
 
 use crate::{
     compile::{DEFAULT_MACHINE_NAME, NEAR_ZERO_SLOPE_UM_PER_COUNT, compile, decompile},
-    file::{Machine, MachineFile, Term, writer::MachineFileEdit},
     inputs::ADC_REFERENCE_VOLTS,
     keys::section::NewSection,
+    machine_file::{Machine, MachineFile, Term, writer::MachineFileEdit},
 };
-use difference::calibration_difference_nm;
+use calibration_difference::calibration_difference_nm;
 
 /// A calibration as a machine file.
 #[derive(Clone, Debug, PartialEq)]

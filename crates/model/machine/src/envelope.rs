@@ -16,8 +16,8 @@ use std::{borrow::Cow, collections::BTreeMap};
 
 use crate::{
     effect::{BoardTerm, Effect, Input, SlowMode},
-    file::Machine,
     location::InputFileError,
+    machine_file::Machine,
     model::{ReferenceModel, RowInputs, tool_growth_term},
     sections::LinearAxis,
 };
@@ -27,7 +27,7 @@ use crate::{
 const NORMAL_TEMPERATURE_RANGE_C: [f64; 2] = [10.0, 30.0];
 /// How long a temperature takes over its range, in s: 20 K at 2 K a minute, as a spindle's front bearing does
 /// in the first minutes at its rated speed.
-pub const TEMPERATURE_RAMP_S: f64 = 600.0;
+pub const TEMPERATURE_RAMP_DURATION_S: f64 = 600.0;
 /// After this many of its longest time constants a state has settled to a ten-thousandth.
 const SETTLING_TIME_CONSTANTS: f64 = 10.0;
 /// Times after the ramp, at equal ratios.
@@ -70,7 +70,7 @@ impl InputRanges {
         Self {
             temperatures_c: BTreeMap::new(),
             is_each_alone: false,
-            change_s: TEMPERATURE_RAMP_S,
+            change_s: TEMPERATURE_RAMP_DURATION_S,
             speed_rpm: [0.0, rated_rpm(machine)],
             load_n: [0.0; 2],
             sensor_counts: [sensor.map_or(0.0, |sensor| sensor.zero_counts); 2],
@@ -102,7 +102,7 @@ pub struct PredictedState {
 #[must_use]
 pub fn predict_states(machine: &Machine, ranges: &InputRanges) -> Vec<PredictedState> {
     let machine = machine_at_power_on(machine);
-    let columns = model_thermometers(&machine);
+    let columns = model_thermometer_columns(&machine);
     let corners = enumerate_corners(columns.len(), ranges.is_each_alone);
     let times_s = evaluation_times_s(&machine, ranges.change_s);
     let places = corner_positions(ranges);
@@ -162,7 +162,7 @@ pub fn predict_states(machine: &Machine, ranges: &InputRanges) -> Vec<PredictedS
 
 /// Returns what the board runs of a machine, whose slow modes begin when it is switched on.
 fn machine_at_power_on(machine: &Machine) -> Machine {
-    let mut started = machine.with_compensated_terms().into_owned();
+    let mut started = machine.with_only_compensated_terms().into_owned();
     let by_tool = started.spindle.tools.take();
     started.terms.extend(by_tool.as_ref().map(tool_growth_term));
     for term in &mut started.terms {
@@ -190,7 +190,7 @@ fn category_values(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
 }
 
 /// Returns the thermometers that the model reads.
-fn model_thermometers(machine: &Machine) -> Vec<String> {
+fn model_thermometer_columns(machine: &Machine) -> Vec<String> {
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
     let terms = machine.terms.iter().filter_map(|term| term.effect.temperature_column());
@@ -300,12 +300,12 @@ struct MachineStates {
 impl MachineStates {
     /// None without terms that the board runs.
     fn new(machine: &Machine) -> Option<Self> {
-        let run = machine.terms.iter().enumerate().filter(|(_, term)| term.effect.is_compensated());
+        let run = machine.terms.iter().enumerate().filter(|(_, term)| term.effect.is_compensable());
         let numbers: Vec<usize> = run.map(|(number, _)| number).collect();
         if numbers.is_empty() {
             return None;
         }
-        let machine = machine.with_compensated_terms().into_owned();
+        let machine = machine.with_only_compensated_terms().into_owned();
         let ranges = InputRanges::normal(&machine);
         let all = predict_states(&machine, &ranges);
         let plain = predict_states(&Machine { terms: Vec::new(), ..machine.clone() }, &ranges);

@@ -18,7 +18,7 @@ use trueup_core::{
     calibration::MainsFrequency,
     sensor_health::{HIGH_RAIL, LOW_RAIL},
     thermometer::Thermometer,
-    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Temperature},
+    units::{AdcCode, READING_UNITS_PER_CODE, SensorReading, Temperature},
 };
 
 use crate::keys::table::table;
@@ -31,7 +31,7 @@ pub const MAX_TEMPERATURE_CHANNEL: u8 = 7;
 
 /// The inputs connected to the board. Needed to run there, not to predict.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Inputs {
+pub struct BoardInputs {
     /// The displacement sensor.
     pub sensor: Option<SensorInput>,
     /// The temperature channels by the name of their run-file column, `temp_<name>_c`.
@@ -217,9 +217,9 @@ impl SensorInput {
     /// Returns the nearest reading, at most half a unit (1/2048 code) off; saturates at the ends of `i32`,
     /// and a missing count (NaN) reads 0.
     #[must_use]
-    pub(crate) fn reading_from_counts(&self, counts: f64) -> Reading {
+    pub(crate) fn reading_from_counts(&self, counts: f64) -> SensorReading {
         // A cast from f64 saturates and takes NaN to 0.
-        Reading(self.exact_reading_from_counts(counts).round() as i32)
+        SensorReading(self.exact_reading_from_counts(counts).round() as i32)
     }
 
     /// Returns whether the sensor can give these counts: 0…`counts_full_scale`. NaN cannot be given.
@@ -258,9 +258,9 @@ mod tests {
 
     #[test]
     fn one_count_of_the_papers_sensor_is_128_readings() {
-        assert_eq!(PAPER.reading_from_counts(1.0), Reading(128));
-        assert_eq!(PAPER.reading_from_counts(5048.0), Reading(5048 * 128));
-        assert_eq!(PAPER.reading_from_counts(0.0), Reading(0));
+        assert_eq!(PAPER.reading_from_counts(1.0), SensorReading(128));
+        assert_eq!(PAPER.reading_from_counts(5048.0), SensorReading(5048 * 128));
+        assert_eq!(PAPER.reading_from_counts(0.0), SensorReading(0));
     }
 
     #[test]
@@ -288,9 +288,9 @@ mod tests {
 
     #[test]
     fn readings_saturate_and_a_missing_count_reads_zero() {
-        assert_eq!(PAPER.reading_from_counts(1e12), Reading(i32::MAX));
-        assert_eq!(PAPER.reading_from_counts(-1e12), Reading(i32::MIN));
-        assert_eq!(PAPER.reading_from_counts(f64::NAN), Reading(0));
+        assert_eq!(PAPER.reading_from_counts(1e12), SensorReading(i32::MAX));
+        assert_eq!(PAPER.reading_from_counts(-1e12), SensorReading(i32::MIN));
+        assert_eq!(PAPER.reading_from_counts(f64::NAN), SensorReading(0));
     }
 
     #[test]

@@ -12,7 +12,7 @@
 //! | `section` | a section that is to be written |
 
 pub(crate) mod key;
-pub(crate) mod range;
+pub(crate) mod plausible_range;
 pub(crate) mod reader;
 pub(crate) mod section;
 pub(crate) mod table;

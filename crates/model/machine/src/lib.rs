@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`location`] | where in a user's file something is wrong, and which rule it breaks |
 //! | [`bounded_read`] | opens and reads files of the user's within bounds |
-//! | [`tool`] | the column of a run that names the tool |
+//! | [`tool_column`] | the column of a run that names the tool |
 //! | `known_columns` | the columns of a run that have a meaning |
 //! | `unit_conversion` | the user's units in those of the board |
 //! | `keys` | what a key of the machine file is: declared, read strictly, written |
@@ -18,7 +18,7 @@
 //! | `spline` | a B-spline and its value |
 //! | `sections` | the sections that name no cause, each with its type, keys, reader and writer |
 //! | [`effect`] | why a machine is not as its model says: a cause is one page |
-//! | [`file`](mod@file) | reads the whole machine file into a [`Machine`], and writes it |
+//! | [`file`](machine_file) | reads the whole machine file into a [`Machine`], and writes it |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`schema`] | every key and column, for editors and for the reference |
@@ -40,11 +40,11 @@ pub mod compile;
 pub mod decompile;
 pub mod effect;
 pub mod envelope;
-pub mod file;
 pub mod inputs;
 mod keys;
 mod known_columns;
 pub mod location;
+pub mod machine_file;
 pub mod model;
 pub mod predict;
 pub mod preprocessing;
@@ -54,11 +54,11 @@ mod sections;
 mod spline;
 pub mod template;
 pub mod thermometer_faults;
-pub mod tool;
+pub mod tool_column;
 mod unit_conversion;
 
 pub use compile::{CompiledCalibration, compile};
-pub use file::{Machine, MachineFile};
+pub use machine_file::{Machine, MachineFile};
 
 pub use location::{InputFileError, Location};
 pub use run_file::RunFile;

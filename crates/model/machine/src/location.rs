@@ -122,12 +122,12 @@ impl InputFileError {
 ///
 /// Keys are dotted, `spindle.sensor.k0_um`; elements of an array are `machine.tool_direction[0]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Locations {
+pub struct KeyLocations {
     file: PathBuf,
     line_and_column: BTreeMap<String, (usize, usize)>,
 }
 
-impl Locations {
+impl KeyLocations {
     /// No key is known yet.
     #[must_use]
     pub fn new(file: &Path) -> Self {
@@ -182,11 +182,11 @@ pub(crate) fn did_you_mean<'a>(
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> String {
     // 0.75 finds a forgotten letter or unit and keeps words apart that only share a suffix.
-    const MIN_SIMILARITY: f64 = 0.75;
+    const MIN_NAME_SIMILARITY: f64 = 0.75;
     candidates
         .into_iter()
         .map(|candidate| (strsim::jaro_winkler(wrong, candidate), candidate))
-        .filter(|(likeness, _)| *likeness >= MIN_SIMILARITY)
+        .filter(|(likeness, _)| *likeness >= MIN_NAME_SIMILARITY)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(String::new, |(_, best)| format!("; did you mean {best}?"))
 }
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn a_key_that_is_not_there_has_the_place_of_its_section() {
-        let mut places = Locations::new(Path::new("m.toml"));
+        let mut places = KeyLocations::new(Path::new("m.toml"));
         places.insert("limits".into(), (2, 2));
         assert_eq!(places.locate("limits.max_um.x").line, 2);
         assert_eq!(places.locate("limits.max_um.x").column, 2);

@@ -63,7 +63,7 @@ use thermometer_delay::DelayedParts;
 
 use crate::{
     effect::Quantity,
-    file::{Machine, Term},
+    machine_file::{Machine, Term},
     sections::{ElongationSource, LinearAxis, SensorModel},
 };
 
@@ -123,7 +123,7 @@ impl RowInputs<'_> {
 
     /// Returns the value of another `column`; NaN if it is missing.
     #[must_use]
-    pub(crate) fn other_value(&self, column: &str) -> f64 {
+    pub(crate) fn other_column_value(&self, column: &str) -> f64 {
         let found = self.others.iter().find(|(name, _)| *name == column);
         found.map_or(f64::NAN, |&(_, value)| value)
     }
@@ -213,12 +213,12 @@ pub struct ReferenceModel<'m> {
     late: DelayedParts,
     /// The time of the newest row that had one.
     time_s: Option<f64>,
-    state: State,
+    state: ModelState,
 }
 
 /// The state that the rows before have left behind.
 #[derive(Clone, Debug, Default)]
-struct State {
+struct ModelState {
     warmup: WarmupState,
     spindle_lag: Lag,
     axis_lags: [Lag; 3],
@@ -245,7 +245,7 @@ impl<'m> ReferenceModel<'m> {
             machine.to_mut().terms.sort_by_key(|term| term.effect.stage());
         }
         let late = DelayedParts::from_machine(&machine);
-        Self { machine, falling, late, time_s: None, state: State::default() }
+        Self { machine, falling, late, time_s: None, state: ModelState::default() }
     }
 
     /// Returns the model's values for the next row of the run, but for a `time-shift`, which needs the whole
@@ -254,12 +254,12 @@ impl<'m> ReferenceModel<'m> {
         let time_s = situation.time_s.unwrap_or(f64::NAN);
         if !time_s.is_nan() {
             if self.time_s.is_some_and(|before_s| time_s < before_s) {
-                self.state = State::default();
+                self.state = ModelState::default();
             }
             self.time_s = Some(time_s);
         }
         let elongation_um = self.elongation_um(time_s, situation);
-        let State { terms, .. } = &mut self.state;
+        let ModelState { terms, .. } = &mut self.state;
         let mut with_terms =
             |quantity, p_um| terms.apply(&self.machine.terms, quantity, time_s, situation, p_um);
         let mut parts = ErrorComponents {
@@ -290,7 +290,7 @@ impl<'m> ReferenceModel<'m> {
         let tool = volume.tool.with_length(situation.tool_length_mm);
         parts.volumetric_error_um =
             volumetric_error_um(&self.machine, tool, situation.position_mm, situation.angle_deg);
-        let State { terms, .. } = &mut self.state;
+        let ModelState { terms, .. } = &mut self.state;
         let sum_um = parts.error_um();
         for axis in LinearAxis::ALL {
             let (of, p_um) = (Quantity::from_axis(axis), sum_um[axis.index()]);
@@ -441,8 +441,8 @@ impl Machine {
 
     /// Returns the machine without the terms that only explain: what the board is to correct.
     #[must_use]
-    pub fn with_compensated_terms(&self) -> Cow<'_, Self> {
-        let is_compensated = |term: &Term| term.effect.is_compensated();
+    pub fn with_only_compensated_terms(&self) -> Cow<'_, Self> {
+        let is_compensated = |term: &Term| term.effect.is_compensable();
         if self.terms.iter().all(is_compensated) {
             return Cow::Borrowed(self);
         }

@@ -24,12 +24,12 @@ use std::{
     io::{self, Write},
 };
 
-use trueup_core::dimensions::THERMAL_STEP_MS;
+use trueup_core::design_parameters::THERMAL_STEP_MS;
 
 use crate::{
     effect::Quantity,
-    file::Machine,
     location::{InputFileError, Location},
+    machine_file::Machine,
     model::{
         ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
@@ -37,7 +37,7 @@ use crate::{
     sections::ElongationSource,
     unit_conversion::NM_PER_UM,
 };
-use bridge::{BridgeRun, SimulatedBridge};
+use bridge::{SimulatedBridge, SimulatedBridgeRun};
 use columns::{ModelColumns, value_at_row};
 use number_format::{write_shortest_decimal, write_six_decimals};
 
@@ -61,7 +61,7 @@ pub(crate) const WIRE_RESOLUTION_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prediction {
+pub struct RowPrediction {
     /// The reference arithmetic.
     pub model: ErrorValues,
     /// The same without the terms that only explain (`drift`, `time-shift` and the like), for the tool of the
@@ -71,21 +71,21 @@ pub struct Prediction {
     pub bridge: Option<ErrorValues>,
 }
 
-impl Prediction {
+impl RowPrediction {
     /// Returns the largest difference between the bridge and the model, in nm, of the columns that are written; `None`
     /// without a bridge or a value.
     #[must_use]
-    pub fn difference_nm(&self) -> Option<f64> {
-        self.max_difference_nm(self.model)
+    pub(crate) fn max_difference_nm(&self) -> Option<f64> {
+        self.max_difference_from_nm(self.model)
     }
 
     /// Returns the same between the bridge and what it is to correct: what its arithmetic costs.
     #[must_use]
     pub fn arithmetic_error_nm(&self) -> Option<f64> {
-        self.max_difference_nm(self.compensated)
+        self.max_difference_from_nm(self.compensated)
     }
 
-    fn max_difference_nm(&self, model: ErrorValues) -> Option<f64> {
+    fn max_difference_from_nm(&self, model: ErrorValues) -> Option<f64> {
         let bridge = self.bridge?.to_array();
         let apart = model.to_array().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
         apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
@@ -94,7 +94,7 @@ impl Prediction {
 
 /// A machine's prediction for a run, checked and ready to be written.
 #[derive(Clone, Debug)]
-pub struct Predictor<'a> {
+pub struct RunPredictor<'a> {
     machine: &'a Machine,
     run: &'a RunFile,
     columns: ModelColumns<'a>,
@@ -118,12 +118,12 @@ pub struct PredictionSummary {
     pub largest_difference_nm: Option<f64>,
     /// The part of it that is the board's arithmetic, in nm; the rest is of terms that it does not run.
     pub largest_arithmetic_nm: Option<f64>,
-    /// Where the bridge is further from the model than [`Predictor::guaranteed_difference_nm`], the furthest: its row, from
+    /// Where the bridge is further from the model than [`RunPredictor::guaranteed_difference_nm`], the furthest: its row, from
     /// 0, and the difference in nm.
     pub broken_promise: Option<(usize, f64)>,
 }
 
-impl<'a> Predictor<'a> {
+impl<'a> RunPredictor<'a> {
     /// Returns the prediction of `machine` for `run`.
     ///
     /// `[inputs]` may be missing: without the sensor that is the source there is no bridge side
@@ -171,7 +171,7 @@ impl<'a> Predictor<'a> {
     /// tools of another length than that of the machine file.
     #[must_use]
     pub fn unsupported_features(&self) -> Vec<&'static str> {
-        let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
+        let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensable());
         let length = self.has_other_tool_lengths().then_some("tool_length_mm");
         terms.map(|term| term.effect.name()).chain(length).collect()
     }
@@ -192,17 +192,17 @@ impl<'a> Predictor<'a> {
     }
 
     /// Returns both sides, row by row: heat is a state.
-    pub fn predictions(&self) -> impl Iterator<Item = Prediction> {
+    pub fn predictions(&self) -> impl Iterator<Item = RowPrediction> {
         let mut model = self.model_values();
-        let compensated = self.machine.with_compensated_terms();
+        let compensated = self.machine.with_only_compensated_terms();
         // Where nothing is left out it is the model, and is not computed twice.
         let is_less = matches!(compensated, Cow::Owned(_)) || self.has_other_tool_lengths();
         let mut compensated = is_less.then(|| ReferenceModel::from_machine(compensated));
         let mut bridge =
-            self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
+            self.bridge.as_ref().ok().map(|bridge| SimulatedBridgeRun::new(self.machine, bridge));
         (0..self.run.row_count()).map(move |row| {
             let temperatures = self.columns.temperatures_in_row(row);
-            let others = self.columns.others_in_row(row);
+            let others = self.columns.other_column_values_in_row(row);
             let situation = self.columns.row_inputs(row, &temperatures, &others);
             let model = model.next().expect("one for each row");
             let on_board = RowInputs { tool_length_mm: None, ..situation };
@@ -218,7 +218,7 @@ impl<'a> Predictor<'a> {
                     error_um: [0, 1, 2].map(|n| known(compensated.error_um[n], bridge.error_um[n])),
                 }
             });
-            Prediction { model, compensated, bridge }
+            RowPrediction { model, compensated, bridge }
         })
     }
 
@@ -231,7 +231,7 @@ impl<'a> Predictor<'a> {
         let in_time = (0..self.run.row_count()).map(move |row| {
             let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures_in_row(row);
             temperatures.extend(parts.iter().map(|(name, part_c)| (name.as_str(), part_c[row])));
-            let others = self.columns.others_in_row(row);
+            let others = self.columns.other_column_values_in_row(row);
             reference.step(&self.columns.row_inputs(row, &temperatures, &others)).to_error_values()
         });
         let shifts_s = Quantity::ALL.map(|quantity| time_shift_s(&self.machine.terms, quantity));
@@ -329,11 +329,11 @@ impl<'a> Predictor<'a> {
     fn update_summary(
         &self,
         row: usize,
-        prediction: &Prediction,
+        prediction: &RowPrediction,
         allowed_nm: f64,
         written: &mut PredictionSummary,
     ) {
-        if let Some(difference_nm) = prediction.difference_nm() {
+        if let Some(difference_nm) = prediction.max_difference_nm() {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
         }
@@ -400,7 +400,7 @@ fn write_column_name(out: &mut impl Write, name: &str) -> io::Result<()> {
 }
 
 /// The cells of `PREDICTION_COLUMNS`, to 1 pm, and the end of the line.
-fn write_prediction(out: &mut impl Write, prediction: &Prediction) -> io::Result<()> {
+fn write_prediction(out: &mut impl Write, prediction: &RowPrediction) -> io::Result<()> {
     let bridge = prediction.bridge.map_or([f64::NAN; 4], ErrorValues::to_array);
     let pairs = prediction.model.to_array().into_iter().zip(bridge);
     for (number, value) in pairs.flat_map(|(model, bridge)| [model, bridge]).enumerate() {

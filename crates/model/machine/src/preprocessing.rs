@@ -10,9 +10,9 @@
 
 use crate::{
     check::Warning,
-    file::Machine,
     keys::reader::is_temperature_column,
     location::Location,
+    machine_file::Machine,
     run_file::RunFile,
     sections::LinearAxis,
     thermometer_faults::{MAX_ROW_GAP_S, ThermometerFault, find_thermometer_faults},
@@ -34,7 +34,7 @@ const MIN_MEAN_SWEEP_ROWS: f64 = 3.0;
 #[must_use]
 pub fn preprocess_run(run: RunFile, machine: Option<&Machine>) -> (RunFile, Vec<Warning>) {
     let (run, mut warnings) = without_fault_values(run);
-    let (run, derived) = with_directions(run, machine);
+    let (run, derived) = with_approach_directions(run, machine);
     warnings.extend(derived);
     (run, warnings)
 }
@@ -125,7 +125,10 @@ fn is_near_in_time(apart_s: f64) -> bool {
 /// positions go there and back; says so. Where positions are in no order it only says that they are missing, if
 /// `machine` has an axis that depends on them.
 #[must_use]
-pub fn with_directions(mut run: RunFile, machine: Option<&Machine>) -> (RunFile, Vec<Warning>) {
+pub fn with_approach_directions(
+    mut run: RunFile,
+    machine: Option<&Machine>,
+) -> (RunFile, Vec<Warning>) {
     let mut warnings = Vec::new();
     for axis in LinearAxis::ALL {
         let (position, direction) = (format!("{}_mm", axis.name()), format!("dir_{}", axis.name()));

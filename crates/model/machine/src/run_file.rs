@@ -10,18 +10,18 @@
 //! 1 MiB.
 
 mod bridge_record;
-mod cells;
+mod cell_format;
 mod clock;
 mod column_typos;
 mod faults;
 mod field_positions;
 mod fields;
-mod label;
 mod line;
 mod numeric_row;
 mod reader;
-mod table;
+mod run_table;
 mod time_order;
+mod tool_label;
 mod tool_numbers;
 
 use std::{
@@ -35,11 +35,11 @@ use crate::{
     bounded_read,
     location::{InputFileError, Location, did_you_mean},
 };
-use table::{ColumnTypo, RunTable, SizeLimits};
+use run_table::{ColumnTypo, RunFileSizeLimits, RunTable};
 
-pub(crate) use table::MAX_RUN_FILE_BYTES;
-pub(crate) use table::MAX_RUN_FILE_VALUES;
-pub use table::{Column, MAX_RUN_FILE_COLUMNS};
+pub(crate) use run_table::MAX_RUN_FILE_BYTES;
+pub(crate) use run_table::MAX_RUN_FILE_VALUES;
+pub use run_table::{MAX_RUN_FILE_COLUMNS, RunColumn};
 
 pub use crate::known_columns::is_known_column;
 
@@ -47,7 +47,7 @@ pub use crate::known_columns::is_known_column;
 #[derive(Clone, Debug)]
 pub struct RunFile {
     path: PathBuf,
-    columns: Vec<Column>,
+    columns: Vec<RunColumn>,
     header_line: usize,
     /// The line of each row, from 1: empty lines and comments are no rows.
     line_of_row: Vec<u32>,
@@ -89,14 +89,14 @@ impl RunFile {
     /// [`MAX_LISTED_ERRORS`](crate::location::MAX_LISTED_ERRORS) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, InputFileError> {
         Self::read_within_limits(
-            SizeLimits { bytes: MAX_RUN_FILE_BYTES, values: MAX_RUN_FILE_VALUES },
+            RunFileSizeLimits { bytes: MAX_RUN_FILE_BYTES, values: MAX_RUN_FILE_VALUES },
             source,
             path,
         )
     }
 
     fn read_within_limits(
-        bounds: SizeLimits,
+        bounds: RunFileSizeLimits,
         source: impl BufRead,
         path: &Path,
     ) -> Result<Self, InputFileError> {
@@ -127,7 +127,7 @@ impl RunFile {
 
     /// Returns all columns, in the order of the file.
     #[must_use]
-    pub fn columns(&self) -> &[Column] {
+    pub fn columns(&self) -> &[RunColumn] {
         &self.columns
     }
 
@@ -178,10 +178,10 @@ impl RunFile {
     /// # use trueup_machine::RunFile;
     /// let text = "time_s,measured_dz_mm\n0,0.012\n";
     /// let run = RunFile::from_reader(text.as_bytes(), "r.csv".as_ref()).unwrap();
-    /// let slip = run.column_typo(|name| name.starts_with("measured_")).unwrap();
+    /// let slip = run.find_column_typo(|name| name.starts_with("measured_")).unwrap();
     /// assert!(slip.to_string().starts_with("r.csv:1:8: column measured_dz_um is missing; measured_dz_mm is"));
     /// ```
-    pub fn column_typo(&self, is_requested: impl Fn(&str) -> bool) -> Option<InputFileError> {
+    pub fn find_column_typo(&self, is_requested: impl Fn(&str) -> bool) -> Option<InputFileError> {
         let typo = self.slips.iter().find(|typo| is_requested(&typo.meant))?;
         self.require_column(&typo.meant).err()
     }
@@ -201,7 +201,7 @@ impl RunFile {
             .find(|column| column.name == adjacent)
             .map(|column| column.starts.clone());
         if let Some(starts) = starts {
-            self.columns.push(Column { name: name.into(), values: values.into(), starts });
+            self.columns.push(RunColumn { name: name.into(), values: values.into(), starts });
         }
     }
 
@@ -217,7 +217,7 @@ impl RunFile {
         let columns = self.columns.iter().map(|column| {
             let mut values = column.values[..rows].to_vec();
             change(&column.name, &mut values);
-            Column {
+            RunColumn {
                 name: column.name.clone(),
                 values: values.into(),
                 starts: column.starts.clone(),

@@ -7,13 +7,13 @@ use serde_json::{Map, Value, json};
 
 use crate::{
     effect::Cause,
-    file::schema::MACHINE_FILE_KEYS,
     keys::{
         key::{Key, Requirement, ValueType},
         reader::{MAX_ARRAY_LENGTH, TomlDocument},
         term::{TERM, TERM_KEYS},
     },
     known_columns::KNOWN_COLUMNS,
+    machine_file::machine_file_keys::MACHINE_FILE_KEYS,
 };
 
 /// Returns the machine file as a JSON schema.

@@ -4,9 +4,9 @@
 //! The causes are built on these types; `[machine]` and `[[term]]`, which hold causes, are in [`crate::file`].
 
 pub(crate) mod axis;
-mod chain;
 pub(crate) mod inputs;
 pub(crate) mod instrument;
+mod kinematic_chain;
 mod limits;
 pub(crate) mod spindle;
 pub(crate) mod straightness;
@@ -18,7 +18,7 @@ pub use axis::{
     AxisModel, Backlash, Feedback, LinearAxis, PitchErrorTable, RotaryAxis, SecondDrive,
     ThermalLaw, ThermalMode, ThermalRow,
 };
-pub use chain::AxisChain;
+pub use kinematic_chain::AxisChain;
 pub use limits::{LearnedChangeLimits, Limits};
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{Squareness, Straightness};

@@ -7,14 +7,14 @@ use std::fmt::Write as _;
 use trueup_output::escape::shell_quote;
 
 use crate::{
-    file::MachineKind,
     inputs::ADC_REFERENCE_VOLTS,
+    machine_file::MachineKind,
     sections::{Feedback, LinearAxis, RotaryAxis},
 };
 
 /// The properties of a machine that are known before anything is measured.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Template {
+pub struct MachineTemplate {
     /// Its name, not empty.
     pub name: String,
     /// Which axes turn the tool or the table.
@@ -82,14 +82,14 @@ const DEFAULT_SENSOR_WIRING: (f64, f64) = (10.0, 0.328);
 /// Returns the divider for a sensor of this many volts: the wiring's, else what leaves 20 mV below the converter's
 /// reference, as that does.
 fn default_divider(volts: f64) -> f64 {
-    const HEADROOM_VOLTS: f64 = 0.02;
+    const ADC_HEADROOM_VOLTS: f64 = 0.02;
     if volts == DEFAULT_SENSOR_WIRING.0 {
         return DEFAULT_SENSOR_WIRING.1;
     }
-    (((ADC_REFERENCE_VOLTS - HEADROOM_VOLTS) / volts).min(1.0) * 1000.0).floor() / 1000.0
+    (((ADC_REFERENCE_VOLTS - ADC_HEADROOM_VOLTS) / volts).min(1.0) * 1000.0).floor() / 1000.0
 }
 
-impl Template {
+impl MachineTemplate {
     /// Returns the machine file; `file` is its name in the commands that it contains.
     #[must_use]
     pub fn to_toml(&self, file: &str) -> String {
@@ -310,8 +310,8 @@ mod tests {
         head_axes: &[RotaryAxis],
         sensor: Option<SensorDataSheet>,
         control: CncControl,
-    ) -> Template {
-        Template {
+    ) -> MachineTemplate {
+        MachineTemplate {
             name: "a \"big\" mill".into(),
             kind,
             head_axes: head_axes.to_vec(),

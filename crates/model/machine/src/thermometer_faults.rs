@@ -37,7 +37,7 @@ const TAIL_STEP_COUNT: usize = 20;
 /// time constant of a third of a row and more (e⁻³).
 const MAX_CONTINUATION_RATIO: f64 = 0.05;
 /// Rows on each side by which a value is compared with its neighbours' median.
-const NEIGHBOUR_ROWS: usize = 3;
+const NEIGHBOUR_ROWS_PER_SIDE: usize = 3;
 /// Parts of a channel of which the quietest says how much noise there is.
 const NOISE_PART_COUNT: usize = 4;
 /// Values of a part that are looked at: they show its share of flickering to a hundredth.
@@ -122,7 +122,7 @@ pub fn find_thermometer_faults(
         }
     }
     // What stands still without a step is seen on what is left.
-    faults.extend(ThermometerChannel::from_values(&sound, follows).find_frozen_runs());
+    faults.extend(ThermometerChannel::from_values(&sound, follows).find_frozen_value_faults());
     faults
 }
 
@@ -310,14 +310,14 @@ impl ThermometerChannel {
     /// Runs of equal values longer than the noise allows. White noise of σ on a last digit q changes what
     /// is shown from row to row with at least p = 2·(1 − Φ(q/2σ)), that of a value midway between two
     /// steps of the digit; the share of values that differ from their neighbours' median is 0.8·σ/q.
-    fn find_frozen_runs(&self) -> Vec<ThermometerFault> {
+    fn find_frozen_value_faults(&self) -> Vec<ThermometerFault> {
         let mut runs = find_equal_value_runs(&self.values);
         let longest = runs.iter().map(Range::len).max().unwrap_or(0);
         // Most channels are done here.
         if longest as f64 <= self.max_chance_run_length(MAX_CHANGE_PROBABILITY) {
             return Vec::new();
         }
-        let hold = typical_hold_rows(&runs);
+        let hold = tenth_percentile_hold_rows(&runs);
         let readings = |run: &Range<usize>| (run.len() / hold) as f64;
         runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         // Without the longest, which may be what is asked about.
@@ -332,7 +332,7 @@ impl ThermometerChannel {
         let mut levels = rest.clone();
         levels.sort_unstable_by(f64::total_cmp);
         levels.dedup();
-        if part <= 4 * NEIGHBOUR_ROWS || levels.len() < MIN_QUANTISATION_LEVELS {
+        if part <= 4 * NEIGHBOUR_ROWS_PER_SIDE || levels.len() < MIN_QUANTISATION_LEVELS {
             return Vec::new();
         }
         let quietest = rest
@@ -364,7 +364,7 @@ fn find_equal_value_runs(values: &[f64]) -> Vec<Range<usize>> {
 
 /// For how many rows a reading is shown before there is a new one: of the runs the tenth of the
 /// shortest.
-fn typical_hold_rows(runs: &[Range<usize>]) -> usize {
+fn tenth_percentile_hold_rows(runs: &[Range<usize>]) -> usize {
     let mut lengths: Vec<usize> = runs.iter().map(Range::len).collect();
     lengths.sort_unstable();
     lengths.get(lengths.len() / 10).copied().unwrap_or(1)
@@ -376,9 +376,9 @@ fn non_median_fraction(values: &[f64]) -> f64 {
     let differs = |window: &&[f64]| {
         let mut sorted = window.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);
-        sorted[NEIGHBOUR_ROWS] != window[NEIGHBOUR_ROWS]
+        sorted[NEIGHBOUR_ROWS_PER_SIDE] != window[NEIGHBOUR_ROWS_PER_SIDE]
     };
-    let windows = values.windows(2 * NEIGHBOUR_ROWS + 1);
+    let windows = values.windows(2 * NEIGHBOUR_ROWS_PER_SIDE + 1);
     let count = windows.len();
     windows.filter(differs).count() as f64 / count as f64
 }

@@ -6,12 +6,12 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     applied_offsets::{
-        FactorEstimate, OffsetApplication, UncompensatedRun, estimate_application,
+        FactorEstimate, OffsetApplication, UncompensatedRun, estimate_offset_application,
         is_fully_compensated,
     },
-    file::Quantity,
+    machine_file::Quantity,
 };
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 const SPINDLE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
     [spindle.temperature]\nsensor = \"temp_front_c\"\nreference_c = 20.0\nk_um_per_c = 2.4\nlag_s = 0.0\n";
@@ -67,7 +67,7 @@ const RIGHT: Case = Case {
 
 /// Returns a record of a shift: warm for 60 %, then cooling.
 fn record(case: Case, engaged: Engaged, quantity: Quantity, seed: u64) -> RunFile {
-    let mut generator = Generator::new(seed);
+    let mut generator = RandomGenerator::new(seed);
     let (mut front_c, mut part_c) = (20.0_f64, 20.0_f64);
     let axis = quantity == Quantity::Dx;
     let (column, offset) = if axis { ("dx", "x") } else { (quantity.name(), "z") };
@@ -121,7 +121,7 @@ fn found(records: &[RunFile], quantity: Quantity) -> OffsetApplication {
                 .0
         })
         .collect();
-    estimate_application(&runs, Some(&machine), quantity)
+    estimate_offset_application(&runs, Some(&machine), quantity)
 }
 
 const PLANS: [&[Engaged]; 4] = [
@@ -157,7 +157,7 @@ fn the_factor_is_found_whatever_else_is_wrong() {
                 assert!((known.value - factor).abs() < 0.12, "{what}");
                 match it {
                     OffsetApplication::Once(_) => assert!(factor == 1.0, "{what}"),
-                    OffsetApplication::Otherwise(_) => assert!(factor != 1.0, "{what}"),
+                    OffsetApplication::OtherFactor(_) => assert!(factor != 1.0, "{what}"),
                     _ => panic!("{what}"),
                 }
             }
@@ -192,7 +192,7 @@ fn an_engaged_record_alone_does_not_show_the_factor_and_one_without_offsets_has_
             }
         }
         let never = records(RIGHT, &[Engaged::Never], quantity, 5);
-        assert_eq!(found(&never, quantity), OffsetApplication::Nothing);
+        assert_eq!(found(&never, quantity), OffsetApplication::NoOffset);
     }
 }
 

@@ -4,7 +4,8 @@
 use std::{borrow::Cow, path::Path};
 
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, compile, file::Quantity,
+    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, compile,
+    machine_file::Quantity,
 };
 
 const THREE_AXIS: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";

@@ -5,7 +5,7 @@ use std::path::Path;
 use trueup_core::term::Effect;
 use trueup_machine::{
     InputFileError, Machine, MachineFile, RunFile, check, compile, compile::missing_input_lines,
-    decompile, predict::Predictor,
+    decompile, predict::RunPredictor,
 };
 
 const HEAD: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -30,7 +30,7 @@ fn run(csv: &str) -> RunFile {
 
 /// Returns the model's elongations, each within a nanometre of the board's.
 fn elongations_um(machine: &Machine, run: &RunFile) -> Vec<f64> {
-    let predictor = Predictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
+    let predictor = RunPredictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(predictor.bridge_error(), None);
     let rows = predictor.predictions().map(|row| {
         assert!(row.arithmetic_error_nm().expect("a bridge") < 1.0, "{row:?}");
@@ -95,7 +95,7 @@ fn compile_refuses_a_label_without_a_number_and_says_what_to_add() {
 }
 
 fn elongations_or_none(machine: &Machine, run: &RunFile) -> f64 {
-    let predictor = Predictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
+    let predictor = RunPredictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
     assert!(predictor.bridge_error().is_some(), "no board runs it");
     let row = predictor.predictions().next().expect("a row");
     row.model.elongation_um
@@ -104,7 +104,7 @@ fn elongations_or_none(machine: &Machine, run: &RunFile) -> f64 {
 /// A term that was found before its label had a number holds for that tool once it has one, and runs on the board.
 #[test]
 fn a_level_of_a_label_is_that_of_its_number_once_it_has_one() {
-    use trueup_machine::tool::label_code;
+    use trueup_machine::tool_column::label_code;
     let text = |tool: &str| {
         format!(
             "[spindle.tools]\nprobe = {{ {tool}um_per_krpm2 = 0.0 }}\ndefault = {{ um_per_krpm2 = 0.0 }}\n\
@@ -115,7 +115,7 @@ fn a_level_of_a_label_is_that_of_its_number_once_it_has_one() {
     };
     let read = run("spindle_rpm,tool\n20000,probe\n20000,2\n20000,9\n");
     let without = machine(&text(""));
-    let grown: Vec<f64> = Predictor::new(&without, &read)
+    let grown: Vec<f64> = RunPredictor::new(&without, &read)
         .expect("to predict, the label is enough")
         .predictions()
         .map(|row| row.model.elongation_um)
@@ -188,11 +188,11 @@ fn a_column_of_few_values_is_suggested_once_as_a_condition() {
     let rows = |n: usize| format!("{},{},{},{}\n", n / 10 % 2, n / 20 % 3, n, n % 2);
     let csv: String = (0..120).map(rows).collect();
     let run = run(&format!("coolant_on,pallet,flow,door\n{csv}"));
-    let alone = check::suggest_conditions(&run, None);
+    let alone = check::suggest_condition_columns(&run, None);
     assert_eq!(alone.len(), 3, "{alone:?}");
     assert!(alone[0].contains("`coolant_on = { kind = \"condition\", bit = 0 }` in [inputs]"));
     assert!(alone[1].starts_with("pallet has 3 values") && alone[2].contains("bit = 1 }"));
     let machine = machine(DECLARED);
-    let adjacent = check::suggest_conditions(&run, Some(&machine));
+    let adjacent = check::suggest_condition_columns(&run, Some(&machine));
     assert!(adjacent.len() == 2 && adjacent[1].starts_with("door is 0 or 1"), "{adjacent:?}");
 }

@@ -5,21 +5,21 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{
     MachineFile, RunFile,
-    predict::{Prediction, Predictor},
+    predict::{RowPrediction, RunPredictor},
 };
 
 const GANTRY: &str = include_str!("../../../../data/gantry.toml");
 
-fn predictions(machine: &str, run: &str) -> Vec<Prediction> {
+fn predictions(machine: &str, run: &str) -> Vec<RowPrediction> {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own machine");
     let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("the test's own run");
-    let predictor = Predictor::new(&machine, &run).expect("can be predicted");
+    let predictor = RunPredictor::new(&machine, &run).expect("can be predicted");
     assert!(predictor.missing_columns().is_empty(), "{:?}", predictor.missing_columns());
     predictor.predictions().collect()
 }
 
 /// Both sides are within `nm` of each other and of what the hand finds.
-fn assert_error(prediction: &Prediction, expected_um: [f64; 3], nm: f64) {
+fn assert_error(prediction: &RowPrediction, expected_um: [f64; 3], nm: f64) {
     let bridge = prediction.bridge.expect("there is a bridge");
     for (axis, expected) in expected_um.into_iter().enumerate() {
         let (model, board) = (prediction.model.error_um[axis], bridge.error_um[axis]);
@@ -229,13 +229,13 @@ fn what_a_run_does_not_have_leaves_only_its_own_quantities_empty() {
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("right");
     let read = |run: &str| RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("right");
     let run = read("time_s,measured_elongation_um\n0,0\n5400,80\n");
-    let predictor = Predictor::new(&machine, &run).expect("the elongation can be predicted");
+    let predictor = RunPredictor::new(&machine, &run).expect("the elongation can be predicted");
     assert_eq!(predictor.missing_columns(), ["x_mm"]);
     let last = predictor.predictions().last().expect("two rows");
     assert!((last.model.elongation_um - 80.0).abs() < 1e-9 && last.model.error_um[0].is_nan());
     let bridge = last.bridge.expect("there is a bridge");
     assert!((bridge.elongation_um - 80.0).abs() < 1e-3 && bridge.error_um[0].is_nan());
     let run = read("load_n\n1\n");
-    let error = Predictor::new(&machine, &run).expect_err("nothing can be predicted");
+    let error = RunPredictor::new(&machine, &run).expect_err("nothing can be predicted");
     assert_eq!(error.to_string(), "r.csv:1:1: column time_s is missing; there are load_n");
 }

@@ -7,7 +7,9 @@ use toml_edit::{DocumentMut, Item, TableLike};
 use trueup_machine::{
     Machine, MachineFile,
     effect::Cause,
-    file::schema::{Key, MACHINE_FILE_KEYS, Requirement, TERM, TERM_KEYS, ValueType},
+    machine_file::machine_file_keys::{
+        Key, MACHINE_FILE_KEYS, Requirement, TERM, TERM_KEYS, ValueType,
+    },
     schema,
 };
 

@@ -5,11 +5,11 @@ use std::path::Path;
 
 use trueup_core::{
     calibration::{Calibration, ElongationSource},
+    displacement_sensor::{SensorLaw, SensorSlope},
     learned::LearnedLimits,
-    limits::Limits,
-    sensor::{SensorLaw, SensorSlope},
+    limits::CompensationLimits,
     tool_direction::ToolDirection,
-    units::{Nanometres, Reading, Temperature},
+    units::{Nanometres, SensorReading, Temperature},
 };
 use trueup_machine::{CompiledCalibration, MachineFile, compile, decompile};
 use trueup_store::calibration::{
@@ -59,7 +59,7 @@ impl Random {
     fn change<'c>(&mut self, calibration: &Calibration<'c>) -> Calibration<'c> {
         let mut calibration = *calibration;
         calibration.kinematics.zero = stored(self.unit_vector());
-        calibration.limits = Limits {
+        calibration.limits = CompensationLimits {
             max: [(); 3]
                 .map(|()| Nanometres(self.uniform(0.0, f64::from(MAX_OFFSET_NM) + 1.0) as i32)),
             slew_nm_per_s: (self.integer() as u32 % (MAX_SLEW_NM_PER_S + 1)).max(1),
@@ -77,7 +77,7 @@ impl Random {
         loop {
             let sensor = SensorLaw {
                 k0: Nanometres(self.integer()),
-                zero: Reading(self.integer()),
+                zero: SensorReading(self.integer()),
                 slope: SensorSlope(self.integer()),
             };
             let ends = [0, 4096 * 1024].map(|reading| {

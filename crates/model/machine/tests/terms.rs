@@ -18,8 +18,8 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     effect::{Cause, Effect, Outliers, Quantity},
-    file::{Term, writer::MachineFileEdit},
-    predict::{Prediction, Predictor},
+    machine_file::{Term, writer::MachineFileEdit},
+    predict::{RowPrediction, RunPredictor},
 };
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
@@ -47,7 +47,7 @@ fn machine(sections: &str, terms: &str) -> Machine {
 fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<f64> {
     let machine = machine(sections, terms);
     let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
-    let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+    let predictor = RunPredictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
     let index = Quantity::ALL.iter().position(|other| *other == quantity).expect("one of all");
     predictor.predictions().map(|row| row.model.to_array()[index]).collect()
 }
@@ -109,7 +109,7 @@ fn a_sensors_causes_act_on_its_law_alone_whatever_the_order_in_the_file() {
         // And so on the board.
         let machine = machine(&format!("{SENSOR}{INPUTS}"), &file.concat());
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
-        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        let predictor = RunPredictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(predictor.bridge_error(), None);
         let row = predictor.predictions().next().expect("a row");
         assert!(row.arithmetic_error_nm().expect("a bridge") <= 1.0, "{row:?}");
@@ -256,7 +256,7 @@ fn what_only_explains_is_predicted_and_not_for_the_board() {
         assert_near(&predicted(SENSOR, &terms, Quantity::Elongation, csv), &expected);
         let machine = machine(SENSOR, &terms);
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
-        let predictor = Predictor::new(&machine, &run).expect("all columns are there");
+        let predictor = RunPredictor::new(&machine, &run).expect("all columns are there");
         let board: Vec<f64> =
             predictor.predictions().map(|row| row.compensated.elongation_um).collect();
         assert_near(&board, &[0.0, 10.0, 20.0]);
@@ -433,22 +433,22 @@ fn the_board_runs_every_term_that_compensates_as_the_model_says() {
     let mut worst: f64 = 0.0;
     for (sections, text) in one_of_each() {
         let machine = machine(&format!("{INPUTS}{sections}"), &text);
-        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        let predictor = RunPredictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(predictor.bridge_error(), None, "{text}");
         let mut largest: f64 = 0.0;
         let mut moved: f64 = 0.0;
         let plain = Machine { terms: Vec::new(), ..machine.clone() };
-        let plain = Predictor::new(&plain, &run).expect("it has the columns");
+        let plain = RunPredictor::new(&plain, &run).expect("it has the columns");
         for (row, plain) in predictor.predictions().zip(plain.predictions()) {
             largest = largest.max(row.arithmetic_error_nm().expect("a bridge"));
-            let board = |of: &Prediction| of.bridge.expect("as above").to_array();
+            let board = |of: &RowPrediction| of.bridge.expect("as above").to_array();
             for (with, without) in board(&row).into_iter().zip(board(&plain)) {
                 moved = moved.max((with - without).abs());
             }
         }
         let effect = &machine.terms[0].effect;
         println!("{:28} {largest:7.3} nm of {moved:8.3} µm", effect.name());
-        assert_eq!(moved > 0.01, effect.is_compensated(), "{text}: {moved} µm");
+        assert_eq!(moved > 0.01, effect.is_compensable(), "{text}: {moved} µm");
         // Half a nanometre is the reading's and the result's rounding; heat is stepped at 100 ms.
         assert!(largest < 6.0, "{text}: {largest} nm");
         worst = worst.max(largest);
@@ -469,7 +469,7 @@ fn an_angle_at_a_long_lever_is_within_a_nanometre_of_the_model() {
     for angle in ["urad_per_m = 3.3", spline] {
         let keys = format!("cause = \"angular-error\"\nlever = \"y\"\norigin_mm = 70.0\n{angle}");
         let machine = machine("", &term("dx", &keys));
-        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        let predictor = RunPredictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(predictor.bridge_error(), None, "{angle}");
         let apart = predictor.predictions().map(|row| row.arithmetic_error_nm().expect("a bridge"));
         let worst = apart.fold(0.0, f64::max);

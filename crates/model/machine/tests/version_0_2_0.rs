@@ -12,9 +12,9 @@ use std::{
 use trueup_core::{
     bridge::TickInput,
     cnc::{AxisPosition, Control, LinearAxis, RotaryAxisAngles, TravelDirection},
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm},
 };
 use trueup_link::frames;
@@ -22,16 +22,16 @@ use trueup_machine::{
     Machine, MachineFile, RunFile, compile,
     decompile::decompile_to_toml,
     inputs::{LinearInput, TemperatureKind},
-    predict::Predictor,
+    predict::RunPredictor,
     schema,
 };
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::{
     calibration::{MAX_BLOB_SIZE, decode},
-    load::LoadSlot,
+    calibration_load::LoadSlot,
 };
 
 /// Machine files of 0.2.0, without their endings.
@@ -111,10 +111,10 @@ fn a_board_takes_and_runs_every_calibration_of_0_2_0() {
         slot.open(u32::try_from(blob.len()).ok()).expect("the buffer takes it");
         slot.append(&blob).expect("it was opened");
         slot.close().expect("all has come");
-        let mut load = slot.take().expect("it is whole");
+        let mut load = slot.take_load().expect("it is whole");
         assert_eq!(load.validate_blob(), Ok(&blob[..]), "{name}");
         let calibration = decode(&blob).expect("as above");
-        let mut node = Node::new(Configuration { blob: &blob, ..calibration.into() });
+        let mut node = Node::new(NodeConfiguration { blob: &blob, ..calibration.into() });
         let c = if name == "gantry" { GANTRY_C } else { SHOP_C };
         run(&mut node, &thermometers_at(c, &machine(name)));
         assert!(node.last_output().offset.is_some(), "{name}: {:?}", node.last_output());
@@ -123,9 +123,9 @@ fn a_board_takes_and_runs_every_calibration_of_0_2_0() {
 
 /// Returns what the thermometers of a machine deliver at a temperature.
 fn thermometers_at(c: f64, machine: &Machine) -> RawTemperatures {
-    let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+    let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
     for input in machine.inputs.iter().flat_map(|inputs| inputs.temperatures.values()) {
-        raw[usize::from(input.channel)] = RawReading(match input.kind {
+        raw[usize::from(input.channel)] = RawTemperatureReading(match input.kind {
             // IEC 60751, in µΩ.
             TemperatureKind::Pt100 => (1e8 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)) as i32,
             // In 1/256 counts.
@@ -165,7 +165,7 @@ fn run(node: &mut Node<'_>, temperatures: &RawTemperatures) {
             temperatures: ms.is_multiple_of(100).then_some(temperatures),
         };
         node.tick(1, input);
-        while node.service().is_some() {}
+        while node.next_service_frame().is_some() {}
     }
 }
 
@@ -175,7 +175,7 @@ fn every_machine_file_of_0_2_0_predicts_what_it_did() {
     let run = RunFile::read(&folder().join("run.csv")).expect("a run file");
     for name in NAMES {
         let machine = machine(name);
-        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        let predictor = RunPredictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         let mut written = Vec::new();
         predictor.write_csv(&mut written, || {}).expect("a vector takes everything");
         let now = String::from_utf8(written).expect("a run file");

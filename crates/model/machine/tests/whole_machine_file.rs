@@ -5,12 +5,12 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile,
-    file::{
+    inputs::TemperatureKind,
+    machine_file::{
         AxisModel, BSpline, Backlash, ElongationSource, Feedback, LinearAxis, MachineKind,
         PitchErrorTable, RotaryAxis, SecondDrive, SensorModel, Squareness, TemperatureModel,
         ThermalLaw, ThermalMode, ThermalRow, Warmup,
     },
-    inputs::TemperatureKind,
     model::{ErrorComponents, ReferenceModel, RowInputs, required_columns, warmup_elongation_um},
 };
 

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
-use trueup_machine::{MachineFile, file::Quantity};
+use trueup_machine::{MachineFile, machine_file::Quantity};
 
 use crate::{
-    Outcome,
+    CommandOutcome,
     choice::by_name,
-    commands, files, origin,
+    input_files, next_commands,
     output::{self, FileTransaction},
-    report,
+    provenance, report,
 };
 
 /// Compares a run without compensation with one with it, and says which constant to change by how much.
@@ -51,22 +51,25 @@ fn parse_percent(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "must be a number from 0 to 100".into())
 }
 
-pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &AcceptArgs, as_json: bool) -> Result<CommandOutcome> {
     let source = args.machine.as_deref().map(MachineFile::read_text).transpose()?;
     let believed = match (&source, &args.machine) {
-        (Some(source), Some(path)) => Some((source.as_str(), files::parse_machine(source, path)?)),
+        (Some(source), Some(path)) => {
+            Some((source.as_str(), input_files::parse_machine(source, path)?))
+        }
         _ => None,
     };
     // The file has the numbers of the tools that a run names by labels.
     let machine = believed.as_ref().map(|(_, machine)| machine);
-    let (off, on) = (files::read_run(&args.off, machine)?, files::read_run(&args.on, machine)?);
+    let (off, on) =
+        (input_files::read_run(&args.off, machine)?, input_files::read_run(&args.on, machine)?);
     let limits = AcceptanceCriteria { require_percent: args.require, limit_um: args.limit_um };
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
     let acceptance = evaluate_acceptance(&off, &on, args.quantity, believed, limits)?;
-    acceptance.notes.iter().for_each(report::warn);
+    acceptance.notes.iter().for_each(report::print_warning);
     if let Some(text) = acceptance.adjusted_machine_file() {
         let before = believed.map(|(_, machine)| machine);
-        files::check_machine_before_write(text, &args.out.join("adjusted.toml"), before)?;
+        input_files::check_machine_before_write(text, &args.out.join("adjusted.toml"), before)?;
     }
     let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
     write(args, &acceptance, name)?;
@@ -75,7 +78,7 @@ pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
     } else {
         print_acceptance(args, &acceptance)?;
     }
-    Ok(if acceptance.passed { Outcome::Done } else { Outcome::NotMet })
+    Ok(if acceptance.passed { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result<()> {
@@ -88,7 +91,7 @@ fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result
             "report.html",
             acceptance.render_html(
                 name,
-                &origin::from_files(&inputs)?,
+                &provenance::provenance_from_files(&inputs)?,
                 &next_commands(args, acceptance),
             ),
         ),
@@ -110,8 +113,8 @@ fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result
 fn next_commands(args: &AcceptArgs, it: &AcceptanceResult) -> Vec<String> {
     let adjusted = args.out.join("adjusted.toml");
     match (it.adjusted_machine_file(), it.passed) {
-        (Some(_), _) => commands::deploy_commands(&adjusted, &args.out),
-        (None, true) => vec![commands::bridge_save_command(&args.out)],
+        (Some(_), _) => next_commands::deployment_commands(&adjusted, &args.out),
+        (None, true) => vec![next_commands::bridge_save_command(&args.out)],
         (None, false) => Vec::new(),
     }
 }
@@ -131,6 +134,6 @@ fn print_acceptance(args: &AcceptArgs, it: &AcceptanceResult) -> Result<()> {
     for sentence in it.unmet.iter().chain(&it.advice.sentences) {
         output::print(format_args!("  {sentence}"))?;
     }
-    commands::print_next_commands(&next_commands(args, it))?;
+    next_commands::print_next_commands(&next_commands(args, it))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }

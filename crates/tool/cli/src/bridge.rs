@@ -1,7 +1,7 @@
 //! `trueup bridge`: the requests to a bridge. The protocol is in `trueup-client`.
 
 pub mod backup;
-mod comparison;
+mod calibration_comparison;
 mod disengage;
 mod forget_reference;
 pub mod info;
@@ -14,9 +14,9 @@ mod update;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use trueup_client::{port::Port, session::Session};
+use trueup_client::{port::PortAddress, session::Session};
 
-use crate::Outcome;
+use crate::CommandOutcome;
 
 #[derive(Subcommand)]
 pub enum Command {
@@ -81,12 +81,15 @@ pub struct PortArgs {
 impl PortArgs {
     /// Returns the result of `work` on an open session, which is then closed.
     fn with_session<T>(&self, work: impl FnOnce(&mut Session) -> Result<T>) -> Result<T> {
-        with_session(&Port::parse(&self.port)?, work)
+        with_session(&PortAddress::parse(&self.port)?, work)
     }
 }
 
 /// Returns the result of `work` on a session at a port, which is then closed.
-pub fn with_session<T>(port: &Port, work: impl FnOnce(&mut Session) -> Result<T>) -> Result<T> {
+pub fn with_session<T>(
+    port: &PortAddress,
+    work: impl FnOnce(&mut Session) -> Result<T>,
+) -> Result<T> {
     let mut session = Session::open(port)?;
     let result = work(&mut session);
     session.close();
@@ -94,7 +97,7 @@ pub fn with_session<T>(port: &Port, work: impl FnOnce(&mut Session) -> Result<T>
 }
 
 /// Reads, loads, stores or listens.
-pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
+pub fn run(command: &Command, as_json: bool) -> Result<CommandOutcome> {
     match command {
         Command::Info(args) => info::run(args, as_json),
         Command::List => {
@@ -104,7 +107,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
             } else {
                 crate::doctor::print_ports(&ports)?;
             }
-            Ok(Outcome::Done)
+            Ok(CommandOutcome::Done)
         }
         Command::Load(args) => load::run(args, as_json),
         Command::Update(args) => update::run(args, as_json),
@@ -112,7 +115,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Pending(args) => pending::run(args, as_json),
         Command::ForgetReference(args) => forget_reference::run(args, as_json),
         Command::Save(args) => backup::save(args, as_json),
-        Command::Restore(args) => backup::restore(args, as_json),
+        Command::Restore(args) => backup::restore_backup(args, as_json),
         Command::Monitor(args) => monitor::run(args, as_json),
     }
 }

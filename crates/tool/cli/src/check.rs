@@ -7,12 +7,12 @@ use clap::Args;
 use serde_json::{Value, json};
 use trueup_machine::{
     InputFileError, Machine, MachineFile, RunFile,
-    check::{self, AxisSummary, Summary, Warning},
+    check::{self, AxisSummary, MachineSummary, Warning},
     preprocessing::preprocess_run,
     run_file::is_known_column,
 };
 
-use crate::{Outcome, files, output, report, runs, summary};
+use crate::{CommandOutcome, input_files, output, report, run_reader, summary};
 
 /// Says what machine files and run files will do, and what in them looks wrong.
 ///
@@ -35,7 +35,7 @@ pub struct CheckArgs {
 }
 
 /// Checks each file.
-pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CheckArgs, as_json: bool) -> Result<CommandOutcome> {
     let is_named = |path: &PathBuf| args.files.is_empty() && args.machine.as_ref() == Some(path);
     let is_machine =
         |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "toml") || is_named(path);
@@ -60,14 +60,14 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
             let machine = MachineFile::read(path)?;
             refused.extend(check::combine_rejected_findings(
                 &check::range_findings(&machine),
-                &files::accepted_keys(),
+                &input_files::accepted_keys(),
             ));
             check_machine(path, &machine, as_json)?
         } else {
-            let (run, mut reported) = preprocess_run(runs::read(path)?, adjacent.as_ref());
+            let (run, mut reported) = preprocess_run(run_reader::read(path)?, adjacent.as_ref());
             refused.extend(check::combine_rejected_findings(
                 &check::column_findings(&run, adjacent.as_ref(), &[]),
-                &files::accepted_keys(),
+                &input_files::accepted_keys(),
             ));
             let (warnings, summary) = check_run(path, &run, adjacent.as_ref(), as_json)?;
             report::print_remarks(&check::run_remarks(&run));
@@ -93,7 +93,7 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
                 "file": path.to_string_lossy(), "does": summary, "warnings": warnings
             }));
         } else {
-            warnings.iter().for_each(report::warn_at);
+            warnings.iter().for_each(report::print_located_warning);
         }
     }
     if as_json {
@@ -109,12 +109,12 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
             caveats => format!("{caveats} things look wrong"),
         })?;
     }
-    Ok(if caveats == 0 { Outcome::Done } else { Outcome::NotMet })
+    Ok(if caveats == 0 { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn check_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warning>, Value)> {
     let mut warnings = check::machine_warnings(machine);
-    let summary = Summary::from_machine(machine);
+    let summary = MachineSummary::from_machine(machine);
     // Without [inputs] it is a file to predict with, and no board is meant.
     if let (Err(error), true) = (&summary.bytes, machine.inputs.is_some()) {
         warnings.push(Warning {
@@ -133,7 +133,7 @@ fn check_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<W
     Ok((warnings, summary_json(machine, &summary)))
 }
 
-fn summary_json(machine: &Machine, summary: &Summary) -> Value {
+fn summary_json(machine: &Machine, summary: &MachineSummary) -> Value {
     let axis = |axis: &AxisSummary| {
         let parts =
             axis.parts.iter().map(|part| json!({"key": part.key, "largest_um": part.largest_um}));
@@ -177,7 +177,7 @@ fn check_run(
         }
         output::print(words)?;
     }
-    let suggestions = check::suggest_conditions(run, machine);
+    let suggestions = check::suggest_condition_columns(run, machine);
     if !as_json {
         suggestions
             .iter()

@@ -18,7 +18,7 @@ pub fn named<T: Copy + Send + Sync + 'static, const N: usize>(
 }
 
 /// Returns a parser that takes each value by its name; the third is what the help says of it.
-pub fn described<T: Copy + Send + Sync + 'static, const N: usize>(
+pub fn described_choice_parser<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(T, &'static str, &'static str); N],
 ) -> impl TypedValueParser<Value = T> {
     choice_parser(all.map(|(value, name, help)| (value, PossibleValue::new(name).help(help))))

@@ -18,7 +18,7 @@ mod answers;
 mod board_backup;
 mod bridge_wait;
 mod journal;
-mod sign_test;
+mod offset_sign_test;
 
 use std::{
     fs,
@@ -29,7 +29,7 @@ use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use trueup_machine::{
     Machine, MachineFile, RunFile, compile,
-    file::{ElongationSource, LinearAxis, Quantity, Spindle},
+    machine_file::{ElongationSource, LinearAxis, Quantity, Spindle},
 };
 use trueup_program::{MeasurementKind, MeasurementOptions, create_plans};
 
@@ -39,7 +39,7 @@ use self::{
     journal::{Journal, Step},
 };
 use crate::{
-    Cli, Outcome, UserError, files, output,
+    Cli, CommandOutcome, UserError, input_files, output,
     program::{Controller, MotionArgs},
     report,
 };
@@ -184,11 +184,11 @@ impl CommissioningTask {
 }
 
 /// Goes on from step to step.
-pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CommissionArgs, as_json: bool) -> Result<CommandOutcome> {
     // Its product is the folder, and the board.
     trueup_output::enable_best_effort_output();
     let text = MachineFile::read_text(&args.machine)?;
-    let machine = files::parse_machine(&text, &args.machine)?;
+    let machine = input_files::parse_machine(&text, &args.machine)?;
     let subject = CommissioningTask::from_args(args, &machine)?;
     subject.check_program_available(args, &machine)?;
     output::create_folder(&args.out)?;
@@ -212,7 +212,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
         let step = work.journal.next;
         if step == Step::Done {
             output::print(format_args!("accepted; all of it is in {}", args.out.display()))?;
-            return Ok(Outcome::Done);
+            return Ok(CommandOutcome::Done);
         }
         work.journal.log(&format!("round {}: {}", work.journal.round, step.title()))?;
         let done = match work.run_step(step) {
@@ -226,7 +226,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
                     "stopped at \"{}\"; the same command goes on from here",
                     work.journal.next.title()
                 ))?;
-                return Ok(Outcome::NotMet);
+                return Ok(CommandOutcome::NotMet);
             }
         }
     }
@@ -246,7 +246,7 @@ impl CommissioningSession<'_> {
     fn run_step(&mut self, step: Step) -> Result<Option<Step>> {
         let round = self.journal.round;
         let (believed, fitted) =
-            (self.round_file_name(round - 1, "toml"), self.round_file_name(round, "toml"));
+            (self.file_name_for_round(round - 1, "toml"), self.file_name_for_round(round, "toml"));
         Ok(match step {
             Step::Sign => self.run_sign_test()?.then_some(Step::Program),
             Step::Program => self.write_program()?.then_some(Step::Off),
@@ -278,7 +278,7 @@ impl CommissioningSession<'_> {
                 self.run_command(&words)?.then_some(Step::Load)
             }
             Step::Load => {
-                let blob = self.round_file_name(round, "bin");
+                let blob = self.file_name_for_round(round, "bin");
                 self.check_board_identity()?;
                 self.wait_until_disengaged()?;
                 let is_done = self.run_command(&["compile", &fitted, "-o", &blob])?
@@ -301,7 +301,7 @@ impl CommissioningSession<'_> {
                 };
                 self.request_measured_run("on", &question)?.then_some(Step::Accept)
             }
-            Step::Accept => self.run_acceptance(&fitted)?,
+            Step::Accept => self.run_acceptance_test(&fitted)?,
             Step::Done => Some(Step::Done),
         })
     }
@@ -312,7 +312,7 @@ impl CommissioningSession<'_> {
     }
 
     /// Returns the machine file or calibration of a round; that of round 0 is the user's.
-    fn round_file_name(&self, round: u32, kind: &str) -> String {
+    fn file_name_for_round(&self, round: u32, kind: &str) -> String {
         self.path(&if round == 0 {
             format!("machine.{kind}")
         } else {
@@ -341,8 +341,8 @@ impl CommissioningSession<'_> {
         let is_pretended = self.journal.next == Step::Sign;
         let done = report::with_warnings(!is_pretended, || crate::run(&cli));
         match done {
-            Ok(Outcome::Done) => Ok(true),
-            Ok(Outcome::NotMet) => {
+            Ok(CommandOutcome::Done) => Ok(true),
+            Ok(CommandOutcome::NotMet) => {
                 self.journal.log("  not all of it is met")?;
                 Ok(false)
             }
@@ -357,7 +357,7 @@ impl CommissioningSession<'_> {
     /// 10 µm are given by a calibration of their own, and measured.
     fn run_sign_test(&mut self) -> Result<bool> {
         let axis = self.subject.axis();
-        let test = sign_test::sign_test_machine(&self.machine, axis)?;
+        let test = offset_sign_test::sign_test_machine(&self.machine, axis)?;
         let (file, blob) = (self.path("sign.toml"), self.path("sign.bin"));
         output::write_atomically(Path::new(&file), &[], |out| {
             out.write_all(test.to_toml().as_bytes())
@@ -383,12 +383,13 @@ impl CommissioningSession<'_> {
         if !self.run_command(&["bridge", "load", blob, "--yes", "--port", &port])? {
             return Ok(false);
         }
-        self.journal.log(&sign_test::setup_instructions(&self.machine, axis))?;
-        let direction = sign_test::error_direction(&self.machine, axis);
+        self.journal.log(&offset_sign_test::setup_instructions(&self.machine, axis))?;
+        let direction = offset_sign_test::error_direction(&self.machine, axis);
         bridge_wait::wait_for_output(&port, |output| {
-            sign_test::is_offset_correct(output, direction)
+            offset_sign_test::is_offset_correct(output, direction)
         })?;
-        let Some(answer) = self.answers.prompt(&sign_test::reading_prompt(&self.machine, axis))?
+        let Some(answer) =
+            self.answers.prompt(&offset_sign_test::reading_prompt(&self.machine, axis))?
         else {
             return Ok(false);
         };
@@ -397,7 +398,7 @@ impl CommissioningSession<'_> {
             self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;
             return Ok(false);
         };
-        let verdict = sign_test::evaluate_sign_test(moved_um);
+        let verdict = offset_sign_test::evaluate_sign_test(moved_um);
         self.journal.log(&format!("  measured {moved_um:+.1} µm: {}", verdict.message()))?;
         Ok(verdict.is_correct())
     }
@@ -423,7 +424,7 @@ impl CommissioningSession<'_> {
         let question = format!("{question}; the filled-in run file");
         let Some(answer) = self.answers.prompt(&question)? else { return Ok(false) };
         let from = PathBuf::from(answer.trim());
-        let run = files::read_run(&from, None)?;
+        let run = input_files::read_run(&from, None)?;
         let column = format!("measured_{}_um", self.subject.quantity());
         let readings = count_readings(&run, &column);
         if readings == 0 {
@@ -440,7 +441,7 @@ impl CommissioningSession<'_> {
 
     /// Compares the runs without and with offsets. If the gain is not enough, the next round begins; the command ends,
     /// so that it is read.
-    fn run_acceptance(&mut self, fitted: &str) -> Result<Option<Step>> {
+    fn run_acceptance_test(&mut self, fitted: &str) -> Result<Option<Step>> {
         let round = self.journal.round;
         let [off, on] = ["off", "on"].map(|which| self.path(&format!("{which}-{round}.csv")));
         let (out, require) = (self.path(&format!("accept-{round}")), self.args.require.to_string());

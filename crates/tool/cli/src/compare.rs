@@ -5,18 +5,19 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use trueup_compare::{
-    compare::{PositionDifference, RunComparison, compare_runs},
-    page,
+    html_report,
+    run_comparison::{PositionDifference, RunComparison, compare_runs},
     thermal_expansion::remove_thermal_expansion,
 };
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
 use crate::{
-    Outcome, UserError,
+    CommandOutcome, UserError,
     choice::by_name,
     diagnose::parse_positive,
-    files, origin,
+    input_files,
     output::{self, FileTransaction},
+    provenance,
 };
 
 /// Compares two runs of one program place by place: unloaded against cut, this year against last.
@@ -50,10 +51,12 @@ const MIN_EXCESS_HALF_WIDTHS: f64 = 2.0;
 const MAX_LISTED_PLACES: usize = 12;
 
 /// Compares the two runs.
-pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
-    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
-    let (a, b) =
-        (files::read_run(&args.a, machine.as_ref())?, files::read_run(&args.b, machine.as_ref())?);
+pub fn run(args: &CompareArgs, as_json: bool) -> Result<CommandOutcome> {
+    let machine = args.machine.as_ref().map(|path| input_files::read_machine(path)).transpose()?;
+    let (a, b) = (
+        input_files::read_run(&args.a, machine.as_ref())?,
+        input_files::read_run(&args.b, machine.as_ref())?,
+    );
     let [(a, first), (b, second)] =
         [a, b].map(|run| remove_thermal_expansion(&run, machine.as_ref()));
     let mut it = compare_runs(&a, &b, args.quantity)?;
@@ -72,8 +75,11 @@ pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
         output::create_folder(folder)?;
         let names = [&args.a, &args.b].map(|path| path.display().to_string());
         let inputs = [args.a.as_path(), args.b.as_path()];
-        let html =
-            page::build_comparison_page(&it, [&names[0], &names[1]], &origin::from_files(&inputs)?);
+        let html = html_report::build_comparison_page(
+            &it,
+            [&names[0], &names[1]],
+            &provenance::provenance_from_files(&inputs)?,
+        );
         let mut set = FileTransaction::new(&inputs);
         set.add_texts(folder, [("comparison.json", format!("{json}\n")), ("report.html", html)])?;
         set.commit()?;
@@ -92,7 +98,7 @@ pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
         };
         it.max_um <= limit || !it.differs && !it.places.iter().any(is_beyond)
     });
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn print(it: &RunComparison, limit_um: Option<f64>) -> Result<()> {

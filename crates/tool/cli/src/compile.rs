@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 use trueup_machine::{check::no_correction_warning, compile};
 
-use crate::{Outcome, files, machine_arg::MachineArg, output, report};
+use crate::{CommandOutcome, input_files, machine_arg::MachineArg, output, report};
 
 #[derive(Args)]
 pub struct CompileArgs {
@@ -19,9 +19,9 @@ pub struct CompileArgs {
 }
 
 /// Compiles the machine file.
-pub fn run(args: &CompileArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CompileArgs, as_json: bool) -> Result<CommandOutcome> {
     let (machine, to) = (args.machine.path(), &args.output);
-    let read = files::read_machine(machine)?;
+    let read = input_files::read_machine(machine)?;
     let compiled = compile(&read)?;
     if let Some(nothing) = no_correction_warning(&read) {
         report::print_brief_warnings(machine, &[nothing]);
@@ -46,5 +46,5 @@ pub fn run(args: &CompileArgs, as_json: bool) -> Result<Outcome> {
             blob.len(),
         ))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -19,17 +19,17 @@ use trueup_diagnose::{
 use trueup_machine::{
     InputFileError, Machine, MachineFile,
     compile::{check_slopes, compile},
-    file::Quantity,
+    machine_file::Quantity,
 };
 use trueup_output::escape::escape_line;
 use trueup_page::{Provenance, format_micrometres, format_significant};
 
 use crate::{
-    Outcome,
-    choice::{by_name, described},
-    commands, files, origin,
+    CommandOutcome,
+    choice::{by_name, described_choice_parser},
+    input_files, next_commands,
     output::{self, FileTransaction},
-    report,
+    provenance, report,
 };
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
@@ -45,7 +45,7 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::Controller>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
-    #[arg(long, default_value = "hand", value_parser = described(READING_METHODS), requires = "next")]
+    #[arg(long, default_value = "hand", value_parser = described_choice_parser(READING_METHODS), requires = "next")]
     gauge: ReadingMethod,
     #[command(flatten)]
     motion: crate::program::MotionArgs,
@@ -101,12 +101,14 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "must be a number above 0".into())
 }
 
-pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<CommandOutcome> {
     let input = &args.input;
     let source = MachineFile::read_text(&input.machine)?;
-    let machine =
-        with_instrument_um(files::parse_machine(&source, &input.machine)?, input.instrument_um);
-    let mut runs = files::read_runs_lenient(&input.run_paths(), &machine)?;
+    let machine = with_instrument_um(
+        input_files::parse_machine(&source, &input.machine)?,
+        input.instrument_um,
+    );
+    let mut runs = input_files::read_runs_lenient(&input.run_paths(), &machine)?;
     let holdout = runs.split_off(input.runs.len() + input.off.len());
     output::create_folder(&args.out)?;
 
@@ -126,7 +128,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     bar.finish_and_clear();
     let diagnosis = diagnosis?;
     for note in &diagnosis.report.notes {
-        report::warn(note);
+        report::print_warning(note);
     }
     let mut inputs: Vec<&Path> = vec![&input.machine];
     let paths = input.run_paths();
@@ -134,19 +136,23 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let made = diagnosis_files(
         &diagnosis,
         (&source, &input.machine),
-        &origin::from_files(&inputs)?,
+        &provenance::provenance_from_files(&inputs)?,
         &args.out,
     )?;
-    warn_unsupported_on_board(&diagnosis, (&source, &input.machine), &args.out)?;
+    warn_compile_refusal(&diagnosis, (&source, &input.machine), &args.out)?;
     let mut set = FileTransaction::new(&inputs);
     set.add_texts(&args.out, made)?;
     set.add(&args.out.join(RESIDUALS_FILE), |out| diagnosis.write_residuals(out))?;
     set.commit()?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        next_run::write_next_run(&diagnosis, &machine, control, args, as_json)?;
+        next_run::write_next_run_plan(&diagnosis, &machine, control, args, as_json)?;
     }
-    Ok(if diagnosis.report.verdict.is_resolved() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if diagnosis.report.verdict.is_resolved() {
+        CommandOutcome::Done
+    } else {
+        CommandOutcome::NotMet
+    })
 }
 
 /// Returns a bar that shows itself once the search takes more than a moment.
@@ -176,7 +182,11 @@ pub fn diagnosis_files(
 ) -> Result<Vec<(&'static str, String)>> {
     let extended = diagnosis.render_extended_toml(source, path)?;
     let believed = MachineFile::parse(source, path)?;
-    files::check_machine_before_write(&extended, &out.join("extended.toml"), Some(&believed))?;
+    input_files::check_machine_before_write(
+        &extended,
+        &out.join("extended.toml"),
+        Some(&believed),
+    )?;
     let html = diagnosis.render_html(&believed.name, origin, &next_commands(out, diagnosis));
     Ok(vec![
         ("diagnosis.json", diagnosis.to_json()? + "\n"),
@@ -186,7 +196,7 @@ pub fn diagnosis_files(
 }
 
 /// Says what a board will not take of a diagnosis that was written to `folder`.
-fn warn_unsupported_on_board(
+fn warn_compile_refusal(
     diagnosis: &Diagnosis,
     (source, path): (&str, &Path),
     folder: &Path,
@@ -194,8 +204,11 @@ fn warn_unsupported_on_board(
     let believed = MachineFile::parse(source, path)?;
     let target = folder.join("extended.toml");
     let written = MachineFile::parse(&diagnosis.render_extended_toml(source, path)?, &target)?;
-    if let Some(InputFileError { rule, .. }) = compile_refusal(&believed, &written) {
-        report::warn(format_args!("trueup compile will refuse {}: {rule}", target.display()));
+    if let Some(InputFileError { rule, .. }) = find_compile_error(&believed, &written) {
+        report::print_warning(format_args!(
+            "trueup compile will refuse {}: {rule}",
+            target.display()
+        ));
     }
     let lines = &diagnosis.report.missing_inputs;
     if !lines.is_empty() {
@@ -209,7 +222,7 @@ fn warn_unsupported_on_board(
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
 /// `believed`. A machine file that it refuses already, as one without `[inputs]`, shows no more.
-fn compile_refusal(believed: &Machine, extended: &Machine) -> Option<InputFileError> {
+fn find_compile_error(believed: &Machine, extended: &Machine) -> Option<InputFileError> {
     let too_steep = check_slopes(extended).err();
     too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))
 }
@@ -234,7 +247,7 @@ fn next_commands(out: &Path, diagnosis: &Diagnosis) -> Vec<String> {
     let verdict = diagnosis.report.verdict;
     let is_safe = matches!(verdict, Verdict::Explained | Verdict::PartlyExplained);
     match is_safe && diagnosis.has_corrections() {
-        true => commands::deploy_commands(&out.join("extended.toml"), out),
+        true => next_commands::deployment_commands(&out.join("extended.toml"), out),
         false => Vec::new(),
     }
 }
@@ -297,7 +310,7 @@ fn print(args: &DiagnoseArgs, diagnosis: &Diagnosis, as_json: bool) -> Result<()
     ))?;
     if diagnosis.has_corrections() {
         output::print("corrected by the board, RMS before and after:")?;
-        for (of, before_um, after_um) in diagnosis.rms_before_and_after() {
+        for (of, before_um, after_um) in diagnosis.rms_errors_before_and_after() {
             let [before, after] = [before_um, after_um].map(format_micrometres);
             output::print(format_args!("  {of:NAME_COLUMN_WIDTH$} {before:>9} {after:>9}"))?;
         }
@@ -312,7 +325,7 @@ fn print(args: &DiagnoseArgs, diagnosis: &Diagnosis, as_json: bool) -> Result<()
             ))?;
         }
     }
-    commands::print_next_commands(&next_commands(&args.out, diagnosis))?;
+    next_commands::print_next_commands(&next_commands(&args.out, diagnosis))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }
 
@@ -329,10 +342,13 @@ mod tests {
         let heat = "[[term]]\ncause = \"extra-heat-path\"\nquantity = \"dz\"\ncolumn = \"temp_bed_c\"\n\
                     um_per_c = 2.0\ntime_constant_s = 600.0\nreference_c = 20.0\n";
         let connected = "[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n";
-        assert_eq!(compile_refusal(&read(""), &read("")), None);
-        let refusal = compile_refusal(&read(""), &read(heat))
+        assert_eq!(find_compile_error(&read(""), &read("")), None);
+        let refusal = find_compile_error(&read(""), &read(heat))
             .expect("no thermometer of that name is connected");
         assert!(refusal.rule.contains("temp_bed_c"), "{}", refusal.rule);
-        assert_eq!(compile_refusal(&read(connected), &read(&format!("{connected}{heat}"))), None);
+        assert_eq!(
+            find_compile_error(&read(connected), &read(&format!("{connected}{heat}"))),
+            None
+        );
     }
 }

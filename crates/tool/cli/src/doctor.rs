@@ -11,13 +11,13 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
-    port::Port,
+    port::PortAddress,
     port_discovery::{self, FoundPort},
     session::Session,
 };
-use trueup_link::slcan::Event;
+use trueup_link::slcan::AdapterMessage;
 
-use crate::{Outcome, VERSION_WITH_COMMIT, output};
+use crate::{CommandOutcome, VERSION_WITH_COMMIT, output};
 
 /// Looks what this computer has: ports and the permission to open them, QEMU, LinuxCNC, tools that flash a board.
 ///
@@ -45,7 +45,7 @@ const EXTERNAL_PROGRAMS: [(&str, &[&str], &str); 5] = [
 const FRAME_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Prints what is here.
-pub fn run(args: &DoctorArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &DoctorArgs, as_json: bool) -> Result<CommandOutcome> {
     let ports = port_discovery::list_ports();
     let answer = args.port.as_ref().map(|port| probe_port(port));
     let programs =
@@ -74,7 +74,7 @@ pub fn run(args: &DoctorArgs, as_json: bool) -> Result<Outcome> {
     }
     let is_met =
         ports.iter().all(|port| port.obstacle.is_none()) && !matches!(answer, Some(Err(_)));
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 /// Prints the ports that may have a bridge, one a line.
@@ -123,12 +123,12 @@ fn find_on_path(name: &str) -> Option<PathBuf> {
 /// Returns what answers at a port, or why nothing does.
 fn probe_port(port: &str) -> Result<String, String> {
     let words = |error: anyhow::Error| format!("{error:#}");
-    let port = Port::parse(port).map_err(|error| error.to_string())?;
+    let port = PortAddress::parse(port).map_err(|error| error.to_string())?;
     let mut session = Session::open(&port).map_err(words)?;
     let deadline = Instant::now() + FRAME_TIMEOUT;
     let found = loop {
         match session.next_event(deadline).map_err(words)? {
-            Some(Event::Frame(frame)) => {
+            Some(AdapterMessage::Frame(frame)) => {
                 break Ok(format!("answers: a frame 0x{:03X}", frame.id()));
             }
             Some(_) => {}

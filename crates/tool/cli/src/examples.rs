@@ -8,7 +8,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 
-use crate::{Outcome, UserError, output};
+use crate::{CommandOutcome, UserError, output};
 
 /// A folder's files: their name below the folder of the examples, and their bytes.
 macro_rules! files {
@@ -49,7 +49,7 @@ pub struct ExamplesArgs {
 }
 
 /// Writes them.
-pub fn run(args: &ExamplesArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ExamplesArgs, as_json: bool) -> Result<CommandOutcome> {
     let files = || EXAMPLE_FILES.iter().copied().flatten();
     // Nothing is written before it is known that all can be.
     let is_other = |path: &Path, bytes: &[u8]| fs::read(path).is_ok_and(|there| there != bytes);
@@ -71,7 +71,7 @@ pub fn run(args: &ExamplesArgs, as_json: bool) -> Result<Outcome> {
     }
     let names: Vec<String> = files().map(|(name, _)| (*name).to_string()).collect();
     output::print_written_files(&args.folder, &names, as_json)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// LinuxCNC runs an M-code only if everybody may.

@@ -11,13 +11,13 @@ use clap::Args;
 use serde_json::{Value, json};
 use trueup_export::{
     ExportFormat, ExportOptions, ExportReport, ExportedTable, LengthUnit, OmittedSection, export,
-    fanuc::Series,
+    fanuc::FanucSeries,
 };
 
 use crate::{
-    Outcome, UserError,
-    choice::described,
-    files,
+    CommandOutcome, UserError,
+    choice::described_choice_parser,
+    input_files,
     machine_arg::MachineArg,
     output::{self, FileTransaction},
 };
@@ -30,14 +30,14 @@ pub struct ExportArgs {
     #[command(flatten)]
     machine: MachineArg,
     /// The control that is to read the files.
-    #[arg(long, value_parser = described(EXPORT_FORMATS))]
+    #[arg(long, value_parser = described_choice_parser(EXPORT_FORMATS))]
     format: ExportFormat,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names
     /// are replaced.
     #[arg(long, value_name = "DIR")]
     output: PathBuf,
     /// The control's unit of length (Siemens, LinuxCNC).
-    #[arg(long, default_value = "mm", value_parser = described(LENGTH_UNITS))]
+    #[arg(long, default_value = "mm", value_parser = described_choice_parser(LENGTH_UNITS))]
     units: LengthUnit,
     /// The reference points, in mm: there Siemens and FANUC need a value of 0.
     #[arg(long, value_name = "x=0,y=0,z=0", value_delimiter = ',', allow_hyphen_values = true)]
@@ -79,9 +79,9 @@ const LENGTH_UNITS: [(LengthUnit, &str, &str); 2] = [
 ];
 
 /// Exports the machine file into the folder.
-pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ExportArgs, as_json: bool) -> Result<CommandOutcome> {
     let file = args.machine.path();
-    let machine = files::read_machine(file)?;
+    let machine = input_files::read_machine(file)?;
     let options = parse_options(args)?;
     let export = export(&machine, args.format, &options)
         .map_err(|refused| UserError(format!("{}: {refused}", file.display())))?;
@@ -111,7 +111,7 @@ pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
             names.join(", ")
         ))?;
     }
-    Ok(if export.report.is_complete() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if export.report.is_complete() { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn parse_options(args: &ExportArgs) -> Result<ExportOptions, UserError> {
@@ -119,7 +119,7 @@ fn parse_options(args: &ExportArgs) -> Result<ExportOptions, UserError> {
         units: args.units,
         tolerance_um: require_positive("--tolerance-um", args.tolerance_um)?,
         unit_um: require_positive("--unit-um", args.unit_um)?,
-        fanuc: if args.series == "0" { Series::Zero } else { Series::I },
+        fanuc: if args.series == "0" { FanucSeries::Zero } else { FanucSeries::I },
         most_points: args.max_points,
         elongation_um: require_finite("--elongation-um", args.elongation_um)?,
         ..ExportOptions::default()

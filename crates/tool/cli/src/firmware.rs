@@ -5,7 +5,7 @@ use std::{fs, path::PathBuf};
 use anyhow::{Context as _, Result};
 use clap::Args;
 
-use crate::{Outcome, embedded_images, output};
+use crate::{CommandOutcome, embedded_images, output};
 
 /// Writes the firmware images: .bin to be flashed, and .elf, which alone can read the log of a board
 /// that runs it.
@@ -20,12 +20,12 @@ pub struct FirmwareArgs {
 }
 
 /// Writes them.
-pub fn run(args: &FirmwareArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &FirmwareArgs, as_json: bool) -> Result<CommandOutcome> {
     fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
     output::print_written_files(
         &args.folder,
         &embedded_images::write_images(&args.folder, None)?,
         as_json,
     )?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

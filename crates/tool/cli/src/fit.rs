@@ -22,7 +22,7 @@ use trueup_machine::{
     InputFileError, Location, Machine, MachineFile, RunFile,
     applied_offsets::{UncompensatedRun, require_unit_factor},
     compile::check_slopes,
-    file::{LinearAxis, Quantity},
+    machine_file::{LinearAxis, Quantity},
 };
 
 pub use args::FitArgs;
@@ -31,7 +31,9 @@ use self::args::{
     BacklashArgs, CommonArgs, ElongationArgs, FitInputArgs, FitKind, PitchArgs, PositionArgs,
     StraightnessArgs, ThermalArgs, WarmupArgs,
 };
-use crate::{Outcome, UserError, commands, files, origin, output, runs};
+use crate::{
+    CommandOutcome, UserError, input_files, next_commands, output, provenance, run_reader,
+};
 
 /// The files that were read.
 struct FitInput {
@@ -40,7 +42,7 @@ struct FitInput {
 }
 
 /// Fits what is requested.
-pub fn run(args: &FitArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &FitArgs, as_json: bool) -> Result<CommandOutcome> {
     let common = match &args.kind {
         FitKind::Table1(args) => return table1::run(args, as_json),
         FitKind::Circle(args) => return circle::run(args, as_json),
@@ -53,7 +55,7 @@ pub fn run(args: &FitArgs, as_json: bool) -> Result<Outcome> {
         | FitKind::Thermal(ThermalArgs { common, .. }) => common,
     };
     let input = FitInput::read(&common.measured)?;
-    let bytes: u64 = common.measured.run.iter().map(|path| runs::file_size(path)).sum();
+    let bytes: u64 = common.measured.run.iter().map(|path| run_reader::file_size(path)).sum();
     let spinner = create_spinner("fitting", bytes);
     let report = match &args.kind {
         FitKind::Table1(_) | FitKind::Circle(_) | FitKind::Volume(_) => {
@@ -63,7 +65,7 @@ pub fn run(args: &FitArgs, as_json: bool) -> Result<Outcome> {
         FitKind::Pitch(args) => run_pitch_fit(&input, args)?,
         FitKind::Backlash(args) => run_backlash_fit(&input, args)?,
         FitKind::Elongation(args) => {
-            let options = elongation::ElongationOptions {
+            let options = elongation::ElongationFitOptions {
                 source: args.source,
                 temperature: args.temperature.clone(),
             };
@@ -82,29 +84,32 @@ pub fn run(args: &FitArgs, as_json: bool) -> Result<Outcome> {
     let is_whole = input.machine.is_some() && !output::is_standard_output(&common.output);
     if written && is_whole && !as_json {
         let folder = common.output.parent().unwrap_or(Path::new(""));
-        commands::print_next_commands(&commands::deploy_commands(&common.output, folder))?;
+        next_commands::print_next_commands(&next_commands::deployment_commands(
+            &common.output,
+            folder,
+        ))?;
     }
     let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 /// Returns the machine file with its path and text.
-fn read_machine_source(path: &Path) -> Result<(PathBuf, String, Machine), InputFileError> {
+fn read_machine_with_source(path: &Path) -> Result<(PathBuf, String, Machine), InputFileError> {
     let text = MachineFile::read_text(path)?;
-    let machine = files::parse_machine(&text, path)?;
+    let machine = input_files::parse_machine(&text, path)?;
     Ok((path.to_owned(), text, machine))
 }
 
 impl FitInput {
     fn read(FitInputArgs { run: runs, machine }: &FitInputArgs) -> Result<Self> {
-        let machine = machine.as_deref().map(read_machine_source).transpose()?;
+        let machine = machine.as_deref().map(read_machine_with_source).transpose()?;
         let of = machine.as_ref().map(|(_, _, machine)| machine);
         let unaided = |run: RunFile| -> Result<UncompensatedRun<'static>> {
             let (run, notes) = UncompensatedRun::from_run(Cow::Owned(run), of, None)?;
-            notes.iter().for_each(crate::report::warn);
+            notes.iter().for_each(crate::report::print_warning);
             Ok(run)
         };
-        let runs = files::read_runs_for_fit(runs, of)?;
+        let runs = input_files::read_runs_for_fit(runs, of)?;
         let runs = runs.into_iter().map(unaided).collect::<Result<Vec<_>>>()?;
         for quantity in Quantity::ALL {
             require_unit_factor(&runs, of, quantity)?;
@@ -145,7 +150,7 @@ impl FitInput {
         } else {
             format!(": the run lacks {}", missing_columns.join(", "))
         };
-        crate::report::warn(format_args!(
+        crate::report::print_warning(format_args!(
             "{}: the other sections of the machine file are not subtracted{lacks}",
             run.path().display()
         ));
@@ -173,7 +178,7 @@ fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Fit
 
 fn run_pitch_fit(input: &FitInput, args: &PitchArgs) -> Result<FitReport> {
     let of = |options| pitch::PitchFitOptions { ways: args.ways, step_mm: args.step_mm, ..options };
-    let axis = measured_axis(&input.runs, args.positions.error.quantity().as_deref())?;
+    let axis = resolve_axis(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
         let options = |run: &UncompensatedRun<'_>| -> Result<pitch::PitchFitOptions> {
@@ -211,7 +216,13 @@ fn write_iso230_page(
     let measured = &common.measured;
     let inputs: Vec<&Path> =
         measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
-    let page = pitch::build_page(axis, what, report, &iso230, &origin::from_files(&inputs)?);
+    let page = pitch::build_page(
+        axis,
+        what,
+        report,
+        &iso230,
+        &provenance::provenance_from_files(&inputs)?,
+    );
     let path = common.output.with_extension("html");
     output::write_atomically(&path, &inputs, |out| out.write_all(page.to_html().as_bytes()))?;
     trueup_output::write_diagnostic(format_args!("figures of ISO 230-2: {}", path.display()));
@@ -224,7 +235,7 @@ fn position_fit_inputs<'a>(
     args: &PositionArgs,
 ) -> Result<(&'a UncompensatedRun<'a>, LinearAxis, pitch::PitchFitOptions)> {
     let run = input.single_run()?;
-    let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
+    let axis = resolve_axis(&input.runs, args.error.quantity().as_deref())?;
     Ok((run, axis, position_fit_options(input, args, run, axis)?))
 }
 
@@ -245,7 +256,7 @@ fn position_fit_options(
 }
 
 fn run_thermal_fit(input: &FitInput, args: &ThermalArgs) -> Result<FitReport> {
-    let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
+    let axis = resolve_axis(&input.runs, args.error.quantity().as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
         match input.known_errors_um(run, ExcludedSection::Thermal(axis))? {
@@ -263,7 +274,7 @@ fn run_thermal_fit(input: &FitInput, args: &ThermalArgs) -> Result<FitReport> {
 }
 
 /// Returns the axis of `quantity`, else the only one whose error the runs measure.
-fn measured_axis(
+fn resolve_axis(
     runs: &[UncompensatedRun<'_>],
     quantity: Option<&str>,
 ) -> Result<LinearAxis, InputFileError> {
@@ -312,22 +323,25 @@ fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &FitReport)
 fn check_output_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()> {
     const MINIMAL_MACHINE_HEADER: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
     let machine = match machine {
-        Some(before) => files::check_machine_before_write(text, path, Some(before))?,
-        None => files::check_machine_before_write(
+        Some(before) => input_files::check_machine_before_write(text, path, Some(before))?,
+        None => input_files::check_machine_before_write(
             &format!("{MINIMAL_MACHINE_HEADER}{text}"),
             path,
             None,
         )?,
     };
     if let Err(InputFileError { rule, .. }) = check_slopes(&machine) {
-        crate::report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
+        crate::report::print_warning(format_args!(
+            "trueup compile will refuse {}: {rule}",
+            path.display()
+        ));
     }
     Ok(())
 }
 
 /// Returns a spinner with the time that has passed, if there is a terminal: a fit does not know how far it is.
 fn create_spinner(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < runs::PROGRESS_BAR_MIN_BYTES / 8 || !trueup_output::is_stderr_terminal() {
+    if bytes < run_reader::MIN_PROGRESS_BAR_BYTES / 8 || !trueup_output::is_stderr_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");

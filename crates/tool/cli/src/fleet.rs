@@ -10,9 +10,9 @@ use std::{io, path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
-use trueup_compare::dated;
+use trueup_compare::dated_constants;
 use trueup_fleet::{
-    html_page, result, series,
+    html_report, job_result, series,
     store::FleetStore,
     structure,
     worker::{self, JobCounts, JobStatus, WorkerOptions},
@@ -20,11 +20,10 @@ use trueup_fleet::{
 
 use self::location::{FleetBackend, FleetLocationArgs};
 use crate::{
-    Outcome, UserError,
+    CommandOutcome, UserError,
     diagnose::{self, parse_positive},
-    origin,
     output::{self, FileTransaction},
-    report,
+    provenance, report,
     trend::parse_day,
 };
 
@@ -51,7 +50,7 @@ pub struct SubmitArgs {
     name: Option<String>,
     /// The day of the record, 2026-11-22. Default: the date in the name of the first run file.
     #[arg(long, value_name = "DATE", value_parser = parse_day)]
-    date: Option<dated::EpochDay>,
+    date: Option<dated_constants::EpochDay>,
     #[command(flatten)]
     input: diagnose::DiagnosisInput,
 }
@@ -96,9 +95,9 @@ pub struct DiagnoseArgs {
     out: PathBuf,
 }
 
-pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
+pub fn run(command: &Command, as_json: bool) -> Result<CommandOutcome> {
     match command {
-        Command::Submit(args) => submit(args, as_json),
+        Command::Submit(args) => submit_job(args, as_json),
         Command::Worker(args) => run_worker(args, as_json),
         Command::Status(args) => print_status(args, as_json),
         Command::Diagnose(args) => diagnose(args, as_json),
@@ -107,7 +106,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     }
 }
 
-fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
+fn submit_job(args: &SubmitArgs, as_json: bool) -> Result<CommandOutcome> {
     let submission = job::read_submission(&args.input, args.name.as_deref(), args.date)?;
     let submitted = match args.place.create_backend()? {
         FleetBackend::Folder(store) => submission.submit(&store),
@@ -115,7 +114,7 @@ fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
     };
     let submitted = submitted.context("the job cannot be submitted")?;
     if let Some(date) = &submitted.other_date {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "job {} was submitted before with another date ({date}), which stays",
             submitted.id
         ));
@@ -133,10 +132,10 @@ fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
             args.place.command_options()
         ))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
+fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<CommandOutcome> {
     let opened = args.place.open_backend()?;
     let options = WorkerOptions {
         threads: usize::from(args.threads),
@@ -147,7 +146,7 @@ fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
     let worked = report::with_warnings(false, || match &opened {
         FleetBackend::Folder(store) => worker::run_workers(store, options, &job::diagnose),
         FleetBackend::Server(remote) => {
-            remote.run_workers(options, &job::diagnose, &|text| report::warn(text))
+            remote.run_workers(options, &job::diagnose, &|text| report::print_warning(text))
         }
     });
     let JobCounts { done, failed } = worked.with_context(|| args.place.to_string())?;
@@ -158,7 +157,7 @@ fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
         output::print(format_args!("{done} done, {failed} failed by this worker"))?;
         print_failed_jobs(&status.failed)?;
     }
-    Ok(if status.failed.is_empty() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if status.failed.is_empty() { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn print_failed_jobs(failed: &[JobStatus]) -> Result<()> {
@@ -168,12 +167,12 @@ fn print_failed_jobs(failed: &[JobStatus]) -> Result<()> {
     })
 }
 
-fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
+fn print_status(args: &StatusArgs, as_json: bool) -> Result<CommandOutcome> {
     let opened = args.place.open_backend()?;
     let status = opened.status()?;
     if as_json {
         output::print(serde_json::to_string_pretty(&status)?)?;
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
     output::print(format_args!(
         "{} waiting, {} running, {} done, {} failed",
@@ -199,10 +198,10 @@ fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
         output::print(format_args!("  done {id} {machine}{report}"))?;
     }
     print_failed_jobs(&status.failed)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
+fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<CommandOutcome> {
     let (store, mut notes) = match args.place.open_backend()? {
         FleetBackend::Folder(store) => (store, Vec::new()),
         FleetBackend::Server(remote) => {
@@ -214,7 +213,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
             (store, damaged)
         }
     };
-    let result::StoredResults { whole, damaged } = result::read_all(&store)?;
+    let job_result::StoredResults { whole, damaged } = job_result::read_all_results(&store)?;
     notes.extend(damaged);
     let (mut records, mut ids) = (Vec::new(), Vec::new());
     for stored in &whole {
@@ -226,7 +225,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
             Err(why) => notes.push(format!("results/{}: {why}", stored.done.id)),
         }
     }
-    notes.iter().for_each(report::warn);
+    notes.iter().for_each(report::print_warning);
     if records.is_empty() {
         let rule = "has no result: trueup fleet worker makes them";
         return Err(UserError(format!("{}: {rule}", args.place)).into());
@@ -235,11 +234,11 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     for ((id, record), requested) in ids.iter().zip(&mut records).zip(requested) {
         let Some(requested) = requested else { continue };
         match report::with_warnings(false, || {
-            job::fitted_constants(&store, id, &record.quantity, &requested)
+            job::fit_constants(&store, id, &record.quantity, &requested)
         }) {
             Ok(answered) => record.replace_constants(answered),
             Err(why) => {
-                report::warn(format_args!("results/{id}: {why}"));
+                report::print_warning(format_args!("results/{id}: {why}"));
                 notes.push(format!("results/{id}: {why}"));
             }
         }
@@ -252,13 +251,16 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
             Some((result.done.id.as_str(), result.files.get(job::DIAGNOSIS_FILE)?.as_slice()))
         })
         .collect();
-    let html =
-        html_page::render_html(&series, &args.place.to_string(), &origin::from_contents(&read));
+    let html = html_report::render_html(
+        &series,
+        &args.place.to_string(),
+        &provenance::provenance_from_contents(&read),
+    );
     output::create_folder(&args.out)?;
     let mut set = FileTransaction::new(&[]);
     set.add_texts(&args.out, [("fleet.json", format!("{json}\n")), ("report.html", html)])?;
     set.commit()?;
-    let conspicuous = html_page::anomaly_sentences(&series);
+    let conspicuous = html_report::anomaly_sentences(&series);
     if as_json {
         output::print(json)?;
     } else {
@@ -279,5 +281,5 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
         }
         output::print(args.out.join("report.html").display())?;
     }
-    Ok(if conspicuous.is_empty() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if conspicuous.is_empty() { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }

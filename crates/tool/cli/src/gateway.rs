@@ -16,19 +16,19 @@ use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand, ValueEnum};
 use trueup_client::{
     pinned_calibration::{CalibrationPolicy, PinnedCalibration, default_state_path},
-    port::Port,
+    port::PortAddress,
 };
 use trueup_gateway::{
     bridge::{self, SharedHub},
-    health::{self, PlcStatus, SharedPlcStatus},
+    gateway_status::{self, PlcStatus, SharedPlcStatus},
     journal::JournalLimiter,
-    modbus, rtu,
+    modbus_rtu, modbus_tcp,
     s7::{self, BlockExchangeSettings, client::CpuAddress},
 };
 
 use trueup_machine::compile;
 
-use crate::{Outcome, UserError, files, output};
+use crate::{CommandOutcome, UserError, input_files, output};
 
 /// How often a message to the user is looked for.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
@@ -130,7 +130,7 @@ pub struct BridgeArgs {
 }
 
 /// Serves a PLC.
-pub fn run(command: &Command) -> Result<Outcome> {
+pub fn run(command: &Command) -> Result<CommandOutcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
@@ -148,7 +148,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
                 Parity::Odd => serialport::Parity::Odd,
                 Parity::None => serialport::Parity::None,
             };
-            let line = rtu::SerialSettings { device: device.clone(), baud: *baud, parity };
+            let line = modbus_rtu::SerialSettings { device: device.clone(), baud: *baud, parity };
             run_modbus_rtu(&shared, bridge, line, *unit)
         }
         Command::Modbus { bridge, listen, unit, .. } => {
@@ -161,7 +161,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
                 OutputMode::Offsets => s7::InputBlockContent::Offsets,
                 OutputMode::Slope => s7::InputBlockContent::Slope,
             };
-            run_s7(&shared, bridge, &BlockExchangeSettings { place, db: *db, period, mode })
+            run_s7_gateway(&shared, bridge, &BlockExchangeSettings { place, db: *db, period, mode })
         }
     };
     stop.store(true, Ordering::Relaxed);
@@ -179,7 +179,7 @@ fn pinned_calibration_from_args(bridge: &BridgeArgs) -> Result<PinnedCalibration
     Ok(PinnedCalibration::new(match &bridge.machine {
         _ if bridge.any_calibration => CalibrationPolicy::Any,
         Some(path) => {
-            let crc = compile(&files::read_machine(path)?)?.crc();
+            let crc = compile(&input_files::read_machine(path)?)?.crc();
             CalibrationPolicy::Machine { crc, path: path.clone() }
         }
         None => CalibrationPolicy::FirstContact(state()),
@@ -193,7 +193,7 @@ pub fn resolve_listen_addresses(option: &str, listen: &str) -> Result<Vec<Socket
 }
 
 fn start_bridge_thread(shared: &SharedHub, bridge: &BridgeArgs) -> Result<thread::JoinHandle<()>> {
-    let port = Port::parse(&bridge.port)?;
+    let port = PortAddress::parse(&bridge.port)?;
     Ok(bridge::spawn_bridge_thread(shared.clone(), move || port.open()))
 }
 
@@ -202,7 +202,7 @@ fn run_modbus_tcp(
     bridge: &BridgeArgs,
     listen: &[SocketAddr],
     unit: u8,
-) -> Result<Outcome> {
+) -> Result<CommandOutcome> {
     let line = start_bridge_thread(shared, bridge)?;
     let listener = TcpListener::bind(listen).with_context(|| {
         format!(
@@ -219,7 +219,7 @@ fn run_modbus_tcp(
             "warning: every computer that reaches {address} can engage the bridge"
         ));
     }
-    let masters = modbus::serve(shared.clone(), listener, unit)?;
+    let masters = modbus_tcp::serve(shared.clone(), listener, unit)?;
     let end = || PlcStatus {
         is_up: masters.connection_count() > 0,
         given: masters.response_count(),
@@ -227,53 +227,63 @@ fn run_modbus_tcp(
     };
     if bridge.once {
         let is_receiving = wait_for_bridge(shared);
-        output::print(health::build_status_line(shared, &end()))?;
-        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
+        output::print(gateway_status::build_status_line(shared, &end()))?;
+        return Ok(if is_receiving { CommandOutcome::Done } else { CommandOutcome::NotMet });
     }
-    report_status(shared, bridge, &line, end, end)
+    monitor_status(shared, bridge, &line, end, end)
 }
 
 fn run_modbus_rtu(
     shared: &SharedHub,
     bridge: &BridgeArgs,
-    line: rtu::SerialSettings,
+    line: modbus_rtu::SerialSettings,
     unit: u8,
-) -> Result<Outcome> {
+) -> Result<CommandOutcome> {
     let thread = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let is_receiving = wait_for_bridge(shared);
         line.open().with_context(|| format!("the serial device {}", line.device))?;
         let end = PlcStatus { is_up: true, ..PlcStatus::default() };
-        output::print(health::build_status_line(shared, &end))?;
-        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
+        output::print(gateway_status::build_status_line(shared, &end))?;
+        return Ok(if is_receiving { CommandOutcome::Done } else { CommandOutcome::NotMet });
     }
     let end = SharedPlcStatus::default();
     let (ours, theirs) = (shared.clone(), end.clone());
-    let plc = thread::spawn(move || rtu::serve(&ours, || line.open(), unit, &theirs));
-    let outcome =
-        report_status(shared, bridge, &thread, || end.snapshot(), || end.snapshot_and_reset())?;
+    let plc = thread::spawn(move || modbus_rtu::serve(&ours, || line.open(), unit, &theirs));
+    let outcome = monitor_status(
+        shared,
+        bridge,
+        &thread,
+        || end.snapshot(),
+        || end.snapshot_and_reset_longest_write(),
+    )?;
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
 }
 
-fn run_s7(
+fn run_s7_gateway(
     shared: &SharedHub,
     bridge: &BridgeArgs,
     target: &BlockExchangeSettings,
-) -> Result<Outcome> {
+) -> Result<CommandOutcome> {
     let line = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let is_receiving = wait_for_bridge(shared);
         s7::write_and_verify(shared, target)?;
         let end = PlcStatus { is_up: true, given: 1, ..PlcStatus::default() };
-        output::print(health::build_status_line(shared, &end))?;
-        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
+        output::print(gateway_status::build_status_line(shared, &end))?;
+        return Ok(if is_receiving { CommandOutcome::Done } else { CommandOutcome::NotMet });
     }
     let end = SharedPlcStatus::default();
     let (ours, theirs, target) = (shared.clone(), end.clone(), target.clone());
     let plc = thread::spawn(move || s7::serve(&ours, &target, &theirs));
-    let outcome =
-        report_status(shared, bridge, &line, || end.snapshot(), || end.snapshot_and_reset())?;
+    let outcome = monitor_status(
+        shared,
+        bridge,
+        &line,
+        || end.snapshot(),
+        || end.snapshot_and_reset_longest_write(),
+    )?;
     // It ends with its present write, which cannot last.
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
@@ -292,13 +302,13 @@ fn wait_for_bridge(shared: &SharedHub) -> bool {
 }
 
 /// Prints how both ends are, until the end; when, the journal decides.
-fn report_status(
+fn monitor_status(
     shared: &SharedHub,
     bridge: &BridgeArgs,
     line: &thread::JoinHandle<()>,
     look: impl Fn() -> PlcStatus,
     take: impl Fn() -> PlcStatus,
-) -> Result<Outcome> {
+) -> Result<CommandOutcome> {
     let mut journal = JournalLimiter::new(bridge.watch);
     while !shared.is_stop_requested() && !line.is_finished() {
         // Not with the hub held: the reader of the messages may be slow.
@@ -307,10 +317,12 @@ fn report_status(
             messages.iter().filter(|message| journal.admit_message(shared.now(), message));
         allowed.for_each(trueup_output::write_diagnostic);
         let now = shared.now();
-        if journal.is_due(now, &health::build_status_line(shared, &look())) {
-            output::print(journal.take_entry(now, health::build_status_line(shared, &take())))?;
+        if journal.is_due(now, &gateway_status::build_status_line(shared, &look())) {
+            output::print(
+                journal.take_entry(now, gateway_status::build_status_line(shared, &take())),
+            )?;
         }
         thread::sleep(POLL_INTERVAL);
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

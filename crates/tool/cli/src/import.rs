@@ -11,14 +11,14 @@ use clap::Args;
 use dialoguer::{Input, Select};
 use serde_json::json;
 use trueup_import::{
-    Answers, Circle, ImportError, ImportedRun, MAX_FILE_BYTES, Question, QuestionTopic, header_map,
-    import,
+    CircleGeometry, ImportAnswers, ImportError, ImportedRun, MAX_IMPORT_FILE_BYTES, Question,
+    QuestionTopic, header_map, import,
 };
 use trueup_machine::{InputFileError, MachineFile, bounded_read};
 use trueup_output::escape::{escape_line, shell_quote};
 
 use crate::{
-    Outcome, UserError, files,
+    CommandOutcome, UserError, input_files,
     output::{self, FileTransaction},
     report,
 };
@@ -100,10 +100,10 @@ struct CircleTableArgs {
 }
 
 impl CircleTableArgs {
-    fn to_circle(&self) -> Option<Circle> {
+    fn to_circle(&self) -> Option<CircleGeometry> {
         let mut axes = self.plane.chars();
         let mut axis = || axes.next().unwrap_or('x');
-        Some(Circle {
+        Some(CircleGeometry {
             radius_mm: self.radius?,
             centre_mm: self.centre,
             axes: [axis(), axis()],
@@ -121,21 +121,21 @@ fn parse_centre(text: &str) -> Result<[f64; 2], String> {
 }
 
 /// Imports the table.
-pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ImportArgs, as_json: bool) -> Result<CommandOutcome> {
     let requests = !as_json && stdin().is_terminal() && trueup_output::is_stdout_terminal();
     output::check_output_path(&args.output, &[&args.file])?;
     if requests && !args.overwrite && args.output.is_file() {
         return Err(already_exists_error(&args.output).into());
     }
-    let bytes = bounded_read::read(&args.file, MAX_FILE_BYTES)
+    let bytes = bounded_read::read(&args.file, MAX_IMPORT_FILE_BYTES)
         .map_err(|error| table_error(error, as_json))?;
     let map_text = match &args.map {
-        Some(path) if path.exists() => Some(files::read_text(path, 1 << 20)?),
+        Some(path) if path.exists() => Some(input_files::read_text(path, 1 << 20)?),
         _ => None,
     };
     let known = match (&map_text, &args.map) {
         (Some(text), Some(path)) => header_map::parse(text, path)?,
-        _ => Answers::default(),
+        _ => ImportAnswers::default(),
     };
     let mut answers = answers_from_flags(args)?.merge(known);
     let imported = loop {
@@ -155,17 +155,17 @@ pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
     };
     write(args, &imported, &answers, map_text.as_deref())?;
     print(args, &imported, as_json)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Returns the answers that the flags give.
-fn answers_from_flags(args: &ImportArgs) -> Result<Answers> {
-    let mut answers = Answers {
+fn answers_from_flags(args: &ImportArgs) -> Result<ImportAnswers> {
+    let mut answers = ImportAnswers {
         negate: args.negate.clone(),
         encoding: args.encoding.clone(),
         sheet: args.sheet.clone(),
         circle: args.circle.to_circle(),
-        ..Answers::default()
+        ..ImportAnswers::default()
     };
     let mut flag = |name: &str, topic: QuestionTopic, value: &str| {
         answers
@@ -234,7 +234,7 @@ fn prompt_for_answer(question: &Question) -> Result<String> {
         _ => "Unit".into(),
     };
     let topic = question.topic.clone();
-    let read = |text: &String| Answers::default().record_answer(&topic, text);
+    let read = |text: &String| ImportAnswers::default().record_answer(&topic, text);
     Input::new().with_prompt(prompt).validate_with(read).interact_text().map_err(Error::from)
 }
 
@@ -281,7 +281,7 @@ fn already_exists_error(path: &Path) -> UserError {
 fn write(
     args: &ImportArgs,
     imported: &ImportedRun,
-    answers: &Answers,
+    answers: &ImportAnswers,
     map_text: Option<&str>,
 ) -> Result<()> {
     let there = std::fs::read_to_string(&args.output).ok();
@@ -360,7 +360,7 @@ fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()>
         output::print(format_args!("  {note}"))?;
     }
     if columns.iter().all(|column| !column.name.starts_with("measured_")) {
-        report::warn(
+        report::print_warning(
             "no column is a measured error or growth: `fit` and `diagnose` need one (--column)",
         );
     }

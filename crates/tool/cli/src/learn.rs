@@ -16,13 +16,13 @@ use trueup_learn::{
     DailyChange, LearnableConstant, LearnerState, LearningLimits, LearningResult, LiveUpdate,
     MachineIdentity, learn_from_run, live_update,
 };
-use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
+use trueup_machine::{Machine, MachineFile, RunFile, machine_file::Quantity};
 
 use crate::{
-    Outcome, UserError,
+    CommandOutcome, UserError,
     choice::by_name,
     diagnose::parse_positive,
-    files,
+    input_files,
     output::{self, FileTransaction},
     report,
 };
@@ -52,7 +52,7 @@ pub struct LearnArgs {
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
     /// A value probed just now, in µm: a reading for the last row of the record, which is not older than a minute.
-    #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = parse_finite)]
+    #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = parse_finite_number)]
     reading_um: Option<f64>,
     /// The machine file with what was learned.
     #[arg(long, value_name = "LEARNED.toml")]
@@ -77,7 +77,7 @@ pub struct LearnArgs {
     reset: bool,
 }
 
-fn parse_finite(text: &str) -> Result<f64, String> {
+fn parse_finite_number(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite());
     value.ok_or_else(|| "must be a number".into())
 }
@@ -92,7 +92,7 @@ struct LearnedConstant<'a> {
 }
 
 /// Learns from the records, or takes the last change back.
-pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LearnArgs, as_json: bool) -> Result<CommandOutcome> {
     let source = MachineFile::read_text(&args.machine)?;
     let known = args.output.with_extension("learn.json");
     let mut inputs: Vec<&Path> = vec![&args.machine];
@@ -100,12 +100,12 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
     for path in [&known, &args.output] {
         output::check_output_path(path, &inputs)?;
     }
-    let machine = files::parse_machine(&source, &args.machine)?;
-    check_output_machine(&args.output, &machine)?;
+    let machine = input_files::parse_machine(&source, &args.machine)?;
+    check_output_machine_identity(&args.output, &machine)?;
     let (mut memory, mut is_backup_due) =
         if args.reset { (None, known.exists()) } else { load_learner_state(&known)? };
     if args.undo {
-        return undo(args, &source, &known, memory);
+        return undo_last_change(args, &source, &known, memory);
     }
     if args.reading_um.is_some() && args.run.len() > 1 {
         return Err(UserError("--reading-um: give one --run, that of this moment".into()).into());
@@ -115,7 +115,7 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
         total_um: args.limit_um,
         step_um: args.step_um,
     };
-    let mut outcome = Outcome::Done;
+    let mut outcome = CommandOutcome::Done;
     // All records are learned from, or none: a command that is refused leaves the files as they were.
     let mut all = Vec::new();
     for path in &args.run {
@@ -127,7 +127,7 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
                     um,
                     SystemTime::now(),
                 )?;
-                files::prepare_run(run, Some(&machine))?
+                input_files::prepare_run(run, Some(&machine))?
             }
             None => read_run(path, &machine)?,
         };
@@ -135,14 +135,17 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
             learn_from_run(&source, &args.machine, &run, args.quantity, memory.take(), &limits)?;
         memory = Some(learned.memory.clone());
         is_backup_due |= learned.has_restarted;
-        let new =
-            files::check_machine_before_write(&learned.machine, &args.output, Some(&machine))?;
+        let new = input_files::check_machine_before_write(
+            &learned.machine,
+            &args.output,
+            Some(&machine),
+        )?;
         all.push((path, learned, new));
     }
     if let Some((_, last, _)) = all.last() {
         if is_backup_due {
             let backup = back_up_state(&known)?;
-            report::warn(format_args!("{}: what was known until now", backup.display()));
+            report::print_warning(format_args!("{}: what was known until now", backup.display()));
         }
         save_outputs(args, &inputs, &known, &last.machine, &last.memory)?;
     }
@@ -160,7 +163,7 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
         let is_refused =
             !learned.readings.iter().any(|reading| reading.used) && !learned.readings.is_empty();
         if is_refused || learned.is_held || !learned.news.is_empty() {
-            outcome = Outcome::NotMet;
+            outcome = CommandOutcome::NotMet;
         }
     }
     if !as_json {
@@ -172,14 +175,14 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
 fn read_run(path: &Path, machine: &Machine) -> Result<RunFile> {
     if path == Path::new("-") {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
-        return Ok(files::prepare_run(run, Some(machine))?);
+        return Ok(input_files::prepare_run(run, Some(machine))?);
     }
-    let mut read = files::read_runs_for_fit(&[path.to_path_buf()], Some(machine))?;
+    let mut read = input_files::read_runs_for_fit(&[path.to_path_buf()], Some(machine))?;
     read.pop().context("one run file is one run")
 }
 
 /// Refuses an output that is the machine file of another machine.
-fn check_output_machine(output: &Path, machine: &Machine) -> Result<()> {
+fn check_output_machine_identity(output: &Path, machine: &Machine) -> Result<()> {
     let Ok(text) = fs::read_to_string(output) else { return Ok(()) };
     let Ok(there) = MachineFile::parse(&text, output) else { return Ok(()) };
     let (there, this) =
@@ -202,7 +205,7 @@ fn load_learner_state(path: &Path) -> Result<(Option<LearnerState>, bool)> {
     if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
         return Ok((None, false));
     }
-    let text = files::read_text(path, MAX_STATE_BYTES)?;
+    let text = input_files::read_text(path, MAX_STATE_BYTES)?;
     let memory = LearnerState::from_json(&text);
     let memory =
         memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?;
@@ -238,12 +241,12 @@ fn save_outputs(
     set.commit()
 }
 
-fn undo(
+fn undo_last_change(
     args: &LearnArgs,
     source: &str,
     known: &Path,
     memory: Option<LearnerState>,
-) -> Result<Outcome> {
+) -> Result<CommandOutcome> {
     let bad = |rule: &str| UserError(format!("{}: {rule}", known.display()));
     let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
     let undone = memory.undo_last_change().map_err(|rule| bad(&rule))?;
@@ -254,7 +257,7 @@ fn undo(
     for (place, from, to) in &undone.values {
         output::print(format_args!("{}: {to} is {from} again", memory.value_key(*place)))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn current_constants(learned: &LearningResult) -> Vec<LearnedConstant<'_>> {

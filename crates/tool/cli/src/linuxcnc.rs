@@ -1,7 +1,7 @@
 //! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL; its subcommands put it into a configuration.
 
 mod component;
-mod configure;
+mod configuration;
 mod hal_pins;
 mod keep;
 
@@ -20,27 +20,27 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_client::{
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
-    port::Port,
+    port::PortAddress,
 };
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_learn::{LiveUpdate, live_update};
 use trueup_linuxcnc::{
     RecordFile,
     component::TEMPERATURE_COUNT,
-    configuration::{OffsetEntryPoint, ini_lines::IniLines},
-    ini::IniSettings,
-    joint::MAX_JOINTS,
-    offsets,
+    configuration::{OffsetEntryPoint, ini_file::IniFile},
+    ini_settings::IniSettings,
+    joint_offsets::MAX_JOINTS,
+    offset_target,
     run::{self, HalComponentSettings, LearnedUpdate},
 };
 use trueup_machine::{
     Machine, MachineFile, bounded_read, compile,
-    file::{LinearAxis, MAX_MACHINE_FILE_BYTES},
+    machine_file::{LinearAxis, MAX_MACHINE_FILE_BYTES},
     model::max_over_compensation_um,
 };
-use trueup_output::{escape::escape_line, queue::LineQueue};
+use trueup_output::{escape::escape_line, line_queue::LineQueue};
 
-use crate::{Outcome, UserError, choice::described, files};
+use crate::{CommandOutcome, UserError, choice::described_choice_parser, input_files};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const POLLS_PER_CYCLE: f64 = 2.5;
@@ -58,12 +58,12 @@ const LOG_FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct LinuxCncArgs {
     #[command(subcommand)]
-    command: Option<configure::Command>,
+    command: Option<configuration::Command>,
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0.
     #[arg(long, value_name = "PORT", required = true)]
     port: Option<String>,
     /// Where offsets enter: as external offsets of the axes, or between the joints and their drives.
-    #[arg(long, default_value = "eoffset", value_parser = described(configure::OFFSET_ENTRY_POINTS))]
+    #[arg(long, default_value = "eoffset", value_parser = described_choice_parser(configuration::OFFSET_ENTRY_POINTS))]
     by: OffsetEntryPoint,
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
@@ -158,14 +158,14 @@ impl ComponentLog {
 }
 
 /// Runs until LinuxCNC ends it, or changes a configuration.
-pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<CommandOutcome> {
     if let Some(command) = &args.command {
-        return configure::run(command, as_json);
+        return configuration::run(command, as_json);
     }
     trueup_output::enable_background_output();
     let log = ComponentLog::open(args.log.as_deref())?;
-    let port = Port::parse(args.port.as_deref().unwrap_or_default())?;
-    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
+    let port = PortAddress::parse(args.port.as_deref().unwrap_or_default())?;
+    let machine = args.machine.as_ref().map(|path| input_files::read_machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| max_over_compensation_um(machine, axis)));
     // A machine is corrected although nothing can be learned.
@@ -216,11 +216,12 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
     let joints = match args.by {
         OffsetEntryPoint::Eoffset => [None; MAX_JOINTS],
         OffsetEntryPoint::Joint => {
-            for beyond in configure::joint_limit_violations(args.ini.as_deref(), machine.as_ref())?
+            for beyond in
+                configuration::find_joint_limit_violations(args.ini.as_deref(), machine.as_ref())?
             {
                 log.write(&beyond);
             }
-            configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?
+            configuration::joint_settings(args.ini.as_deref(), slew_um_per_s)?
         }
     };
     let settings = HalComponentSettings {
@@ -231,7 +232,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         pinned,
         turn: Duration::from_secs_f64(ini.cycle_s / POLLS_PER_CYCLE),
         options: trueup_linuxcnc::ComponentOptions {
-            limits: offsets::OffsetLimits {
+            limits: offset_target::OffsetLimits {
                 max_nm: limits.max_um.map(|um| um_to_nm(args.max_um.unwrap_or(um))),
                 stale: Duration::from_millis(args.stale_ms),
                 hold: Duration::from_millis(args.hold_ms.unwrap_or(limits.hold_ms.into())),
@@ -253,7 +254,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         run::run(&settings, move || port.open(), &stop, record, news, |text| log.write(text));
     log.finish();
     ended?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Looks after the learned file next to the loop, which has no time to read files.
@@ -313,7 +314,7 @@ fn um_to_nm(um: f64) -> i32 {
 
 /// Reads the INI file with what it includes.
 fn read_ini(path: &Path) -> Result<IniSettings> {
-    let lines = IniLines::read(path).map_err(|error| UserError(error.to_string()))?;
+    let lines = IniFile::read(path).map_err(|error| UserError(error.to_string()))?;
     Ok(IniSettings::parse(&lines.to_text()).map_err(|error| {
         let place = lines.line_location(error.place.0, error.place.1);
         UserError(format!("{place}: {}", error.rule))

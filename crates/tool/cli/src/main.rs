@@ -15,7 +15,6 @@ mod accept;
 mod bridge;
 mod check;
 mod choice;
-mod commands;
 mod commission;
 mod compare;
 mod compile;
@@ -24,27 +23,28 @@ mod doctor;
 mod embedded_images;
 mod examples;
 mod export;
-mod files;
 mod firmware;
 mod fit;
 mod fleet;
 mod gateway;
 mod help;
 mod import;
+mod input_files;
 mod learn;
 mod linuxcnc;
 mod machine_arg;
 mod manual;
 mod new;
-mod origin;
+mod next_commands;
 mod output;
 mod predict;
 #[cfg(test)]
 mod printed;
 mod program;
-mod questions;
+mod provenance;
+mod questionnaire;
 mod report;
-mod runs;
+mod run_reader;
 mod schema;
 mod serve;
 mod show;
@@ -163,7 +163,7 @@ enum Command {
 }
 
 /// How a command that did not fail has ended.
-enum Outcome {
+enum CommandOutcome {
     /// All that was asked for is done.
     Done,
     /// Done, but something asked for is not met.
@@ -181,7 +181,7 @@ fn main() -> ExitCode {
         Err(error) => return print_usage(&error),
     };
     report::set_verbosity(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
-    files::set_accepted_keys(&cli.accept);
+    input_files::set_accepted_keys(&cli.accept);
     let code = report_outcome(run(&cli));
     trueup_output::flush_queues();
     code
@@ -216,13 +216,13 @@ fn print_usage(error: &clap::Error) -> ExitCode {
 }
 
 /// Reports why a command has failed, and gives its exit status.
-fn report_outcome(ended: Result<Outcome>) -> ExitCode {
+fn report_outcome(ended: Result<CommandOutcome>) -> ExitCode {
     match ended {
-        Ok(Outcome::Done) => ExitCode::SUCCESS,
-        Ok(Outcome::NotMet) => ExitCode::from(3),
+        Ok(CommandOutcome::Done) => ExitCode::SUCCESS,
+        Ok(CommandOutcome::NotMet) => ExitCode::from(3),
         Err(error) => match error.downcast::<InputFileError>() {
             Ok(error) => {
-                report::report_bad_input(error);
+                report::print_input_file_error(error);
                 ExitCode::from(2)
             }
             Err(error) if error.is::<UserError>() || error.is::<UnusableInput>() => {
@@ -237,7 +237,7 @@ fn report_outcome(ended: Result<Outcome>) -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> Result<Outcome> {
+fn run(cli: &Cli) -> Result<CommandOutcome> {
     match &cli.command {
         Command::Predict(args) => predict::run(args, cli.json),
         Command::Compile(args) => compile::run(args, cli.json),

@@ -8,7 +8,7 @@ use clap::{Args, Command};
 use clap_complete::Shell;
 
 use crate::{
-    Outcome,
+    CommandOutcome,
     output::{self, FileTransaction},
 };
 
@@ -30,18 +30,18 @@ pub struct ManArgs {
 }
 
 /// Prints the completions.
-pub fn print_completions(args: &CompletionsArgs, mut tool: Command) -> Result<Outcome> {
+pub fn print_completions(args: &CompletionsArgs, mut tool: Command) -> Result<CommandOutcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut tool, "trueup", &mut script);
     let mut out = trueup_output::StdoutWriter;
     out.write_all(&script)
         .and_then(|()| out.flush())
         .context("standard output cannot be written")?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Writes the pages.
-pub fn write_man_pages(args: &ManArgs, tool: Command, as_json: bool) -> Result<Outcome> {
+pub fn write_man_pages(args: &ManArgs, tool: Command, as_json: bool) -> Result<CommandOutcome> {
     fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
     let made = tempfile::Builder::new().prefix("trueup-man-").tempdir()?;
     clap_mangen::generate_to(tool.disable_help_subcommand(true), made.path())?;
@@ -56,5 +56,5 @@ pub fn write_man_pages(args: &ManArgs, tool: Command, as_json: bool) -> Result<O
     }
     set.commit()?;
     output::print_written_files(&args.folder, &pages, as_json)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -10,14 +10,14 @@ use clap::Args;
 use serde_json::json;
 use trueup_machine::{
     InputFileError, MachineFile,
-    file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
-    template::{CncControl, SensorDataSheet, Template},
+    machine_file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
+    template::{CncControl, MachineTemplate, SensorDataSheet},
 };
 
 use crate::{
-    Outcome, UserError,
+    CommandOutcome, UserError,
     choice::{by_name, named},
-    files, output, questions, report,
+    input_files, output, questionnaire, report,
 };
 
 /// Writes a machine file to begin with: commented, and it compiles as it is.
@@ -52,19 +52,19 @@ pub struct NewArgs {
     #[arg(long, value_parser = by_name(Feedback::ALL, Feedback::name))]
     feedback: Option<Feedback>,
     /// The rapid traverse in mm/min.
-    #[arg(long, value_name = "MM_PER_MIN", value_parser = questions::parse_positive)]
+    #[arg(long, value_name = "MM_PER_MIN", value_parser = questionnaire::parse_positive)]
     rapid: Option<f64>,
     /// The displacement sensor's µm for one volt, from its data sheet; without it there is none.
-    #[arg(long, value_name = "UM", value_parser = questions::parse_nonzero, allow_hyphen_values = true)]
+    #[arg(long, value_name = "UM", value_parser = questionnaire::parse_nonzero, allow_hyphen_values = true)]
     sensor_um_per_v: Option<f64>,
     /// The voltage at the sensor when the machine is cold, in V; by default half of its range.
-    #[arg(long, value_name = "V", value_parser = questions::parse_finite)]
+    #[arg(long, value_name = "V", value_parser = questionnaire::parse_finite)]
     sensor_zero_v: Option<f64>,
     /// The sensor's output at the end of its range, in V; by default 10.
-    #[arg(long, value_name = "V", value_parser = questions::parse_positive)]
+    #[arg(long, value_name = "V", value_parser = questionnaire::parse_positive)]
     sensor_volts: Option<f64>,
     /// A PT100 and where it is, once for each: screw.
-    #[arg(long, value_name = "WHERE", value_parser = questions::parse_column_word)]
+    #[arg(long, value_name = "WHERE", value_parser = questionnaire::parse_column_word)]
     thermometer: Vec<String>,
     /// The control that gets the offsets.
     #[arg(long, value_parser = named(CNC_CONTROLS))]
@@ -94,11 +94,11 @@ fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let axis = LinearAxis::ALL
         .into_iter()
         .find(|candidate| candidate.name() == axis.trim().to_lowercase());
-    Ok((axis.ok_or("the axis must be x, y or z")?, questions::parse_travel(range)?))
+    Ok((axis.ok_or("the axis must be x, y or z")?, questionnaire::parse_travel(range)?))
 }
 
 /// Writes the file.
-pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &NewArgs, as_json: bool) -> Result<CommandOutcome> {
     let requests =
         !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_stdout_terminal();
     let template = template_from_flags(args)?;
@@ -110,7 +110,11 @@ pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
     let check_name =
         |name: &str| check_creatable(&output_path(args, name)).map_err(|error| error.0);
     let template = match requests {
-        true => questions::run_questionnaire(template, &answered_questions(args), &check_name)?,
+        true => questionnaire::run_questionnaire(
+            template,
+            &answered_questions_from_flags(args),
+            &check_name,
+        )?,
         false => template,
     };
     let path = output_path(args, &template.name);
@@ -119,7 +123,7 @@ pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
     let text = template.to_toml(&name);
     // What cannot be, and no flag alone could show: a head with three axes, two thermometers of a name.
     MachineFile::parse(&text, &path).map_err(|InputFileError { rule, .. }| UserError(rule))?;
-    files::check_machine_before_write(&text, &path, None)?;
+    input_files::check_machine_before_write(&text, &path, None)?;
     output::write_atomically(&path, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;
@@ -127,9 +131,11 @@ pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
         output::print(format_args!("{name}: written; its last lines say what comes next"))?;
     }
     if template.axes.is_empty() {
-        report::warn("no axis was named: write [axis.x] with its travel_mm before you measure");
+        report::print_warning(
+            "no axis was named: write [axis.x] with its travel_mm before you measure",
+        );
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Returns where the file goes: where the flag says, else in this folder, named after the machine.
@@ -156,8 +162,8 @@ fn check_creatable(path: &Path) -> Result<(), UserError> {
 }
 
 /// Returns what needs no question.
-fn answered_questions(args: &NewArgs) -> questions::AnsweredQuestions {
-    questions::AnsweredQuestions {
+fn answered_questions_from_flags(args: &NewArgs) -> questionnaire::AnsweredQuestions {
+    questionnaire::AnsweredQuestions {
         name: args.name.is_some(),
         kind: args.kind.is_some(),
         head_axes: args.head_axes.is_some(),
@@ -170,7 +176,7 @@ fn answered_questions(args: &NewArgs) -> questions::AnsweredQuestions {
     }
 }
 
-fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
+fn template_from_flags(args: &NewArgs) -> Result<MachineTemplate, UserError> {
     let kind = args.kind.unwrap_or(MachineKind::ThreeAxis);
     let mut axes = args.travel.clone();
     axes.sort_by_key(|(axis, _)| *axis);
@@ -185,10 +191,10 @@ fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
     if let Some(name) = args.thermometer.iter().find(twice) {
         return Err(UserError(format!("--thermometer {name} is given twice")));
     }
-    Ok(Template {
+    Ok(MachineTemplate {
         name: args.name.clone().unwrap_or_else(|| "machine".into()),
         kind,
-        head_axes: args.head_axes.clone().unwrap_or_else(|| questions::default_head_axes(kind)),
+        head_axes: args.head_axes.clone().unwrap_or_else(|| questionnaire::default_head_axes(kind)),
         axes,
         feedback: args.feedback.unwrap_or(Feedback::Screw),
         rapid_mm_per_min: args.rapid,

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_machine::predict::{PredictionSummary, Predictor};
+use trueup_machine::predict::{PredictionSummary, RunPredictor};
 
-use crate::{Outcome, files, output, report, runs};
+use crate::{CommandOutcome, input_files, output, report, run_reader};
 
 /// Adds to each row of a run what the model and the bridge's arithmetic say.
 ///
@@ -28,40 +28,47 @@ pub struct PredictArgs {
 }
 
 /// Predicts the run by the machine file.
-pub fn run(args: &PredictArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &PredictArgs, as_json: bool) -> Result<CommandOutcome> {
     let PredictArgs { machine: machine_path, run: run_path, output: to } = args;
-    let machine = files::read_machine(machine_path)?;
-    let run = files::read_run(run_path, Some(&machine))?;
-    let predictor = Predictor::new(&machine, &run)?;
+    let machine = input_files::read_machine(machine_path)?;
+    let run = input_files::read_run(run_path, Some(&machine))?;
+    let predictor = RunPredictor::new(&machine, &run)?;
     if let Some(why) = predictor.bridge_error() {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{}: the bridge's columns stay empty: {why}",
             machine_path.display()
         ));
     }
     if !predictor.missing_columns().is_empty() {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{}: the run lacks these columns, and what depends on them stays empty: {}",
             run_path.display(),
             predictor.missing_columns().join(", ")
         ));
     }
-    let bar = runs::progress_bar("writing", run.row_count() as u64, runs::file_size(run_path));
+    let bar = run_reader::progress_bar(
+        "writing",
+        run.row_count() as u64,
+        run_reader::file_size(run_path),
+    );
     let written = output::write_atomically(to, &[machine_path, run_path], |out| {
         predictor.write_csv(out, || bar.inc(1))
     })?;
     bar.finish_and_clear();
-    let broken = guarantee_violation(&predictor, &written);
+    let broken = describe_guarantee_violation(&predictor, &written);
     if let Some(how) = &broken {
         let row = written.broken_promise.map_or(0, |(row, _)| row);
-        report::warn(format_args!("{}: {how}", run.value_location(row, "time_s")));
+        report::print_warning(format_args!("{}: {how}", run.value_location(row, "time_s")));
     }
     print(&predictor, &written, to, as_json)?;
-    Ok(if broken.is_some() { Outcome::NotMet } else { Outcome::Done })
+    Ok(if broken.is_some() { CommandOutcome::NotMet } else { CommandOutcome::Done })
 }
 
 /// Returns how the bridge is further from the model than `compile` has promised, if it is.
-fn guarantee_violation(predictor: &Predictor<'_>, written: &PredictionSummary) -> Option<String> {
+fn describe_guarantee_violation(
+    predictor: &RunPredictor<'_>,
+    written: &PredictionSummary,
+) -> Option<String> {
     let ((_, nm), promised_nm) = (written.broken_promise?, predictor.guaranteed_difference_nm()?);
     Some(format!(
         "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row exceeds the range of the board's numbers"
@@ -69,14 +76,14 @@ fn guarantee_violation(predictor: &Predictor<'_>, written: &PredictionSummary) -
 }
 
 fn print(
-    predictor: &Predictor<'_>,
+    predictor: &RunPredictor<'_>,
     written: &PredictionSummary,
     to: &Path,
     as_json: bool,
 ) -> Result<()> {
     if let Some(place) = &written.first_out_of_range {
         let rows = written.rows_out_of_range;
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{place}: sensor_counts is outside the input's range in {rows} rows"
         ));
     }

@@ -1,24 +1,24 @@
 //! `trueup program`: the motion programs that measure a machine, and the run files to be filled in.
 
-mod artefact;
-mod motion;
+mod artefact_args;
+mod motion_args;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 use trueup_output::escape::shell_quote;
 use trueup_program::{
     MeasurementKind, MeasurementOptions, MeasuringInstrument, control, create_plans, template,
 };
 
-pub use self::motion::MotionArgs;
+pub use self::motion_args::MotionArgs;
 use crate::{
-    Outcome, UserError,
-    choice::{by_name, described},
-    files,
+    CommandOutcome, UserError,
+    choice::{by_name, described_choice_parser},
+    input_files,
     output::{self, FileTransaction},
     report,
 };
@@ -48,7 +48,7 @@ pub struct ProgramArgs {
     #[command(flatten)]
     motion: MotionArgs,
     #[command(flatten)]
-    artefact: artefact::ArtefactArgs,
+    artefact: artefact_args::ArtefactArgs,
     /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000; of a circle
     /// 10 radii a minute, at most 1000; of a touch 60.
     #[arg(long, value_name = "MM/MIN", value_delimiter = ',')]
@@ -66,7 +66,7 @@ pub struct ProgramArgs {
     /// The measuring instrument. For backlash, a dial (the default) needs a stop at each place, a
     /// laser none. Default for warmup: a gauge that does not touch; with a dial the spindle stops
     /// for each reading.
-    #[arg(long, value_parser = described(MEASURING_INSTRUMENTS))]
+    #[arg(long, value_parser = described_choice_parser(MEASURING_INSTRUMENTS))]
     gauge: Option<MeasuringInstrument>,
     /// warmup: the speed. Default: rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
@@ -146,8 +146,8 @@ const MEASURING_INSTRUMENTS: [(MeasuringInstrument, &str, &str); 2] = [
 ];
 
 /// Writes the programs of a kind.
-pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
-    let machine = files::read_machine(&args.machine)?;
+pub fn run(args: &ProgramArgs, as_json: bool) -> Result<CommandOutcome> {
+    let machine = input_files::read_machine(&args.machine)?;
     let kind = match args.kind {
         ProgramKind::Backlash => MeasurementKind::Backlash,
         ProgramKind::Pitch => MeasurementKind::Pitch,
@@ -165,8 +165,9 @@ pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
     control.check_machine(&machine).map_err(refused)?;
     let (mut plans, notes) =
-        create_plans(kind, &machine, &measurement_options(args, &machine)?).map_err(refused)?;
-    notes.iter().for_each(report::warn);
+        create_plans(kind, &machine, &measurement_options_from_args(args, &machine)?)
+            .map_err(refused)?;
+    notes.iter().for_each(report::print_warning);
     output::create_folder(&args.out)?;
     let mut written = Vec::new();
     let inputs = [args.machine.as_path()];
@@ -205,7 +206,7 @@ pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
     if as_json {
         output::print(json!({ "output": args.out.to_string_lossy(), "programs": written }))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Returns the commands of a plan as they can be typed: with the folder of their files, the machine file, and where to
@@ -231,7 +232,7 @@ fn complete_commands(then: &[String], args: &ProgramArgs) -> Vec<String> {
     lines
 }
 
-fn measurement_options(
+fn measurement_options_from_args(
     args: &ProgramArgs,
     machine: &Machine,
 ) -> Result<MeasurementOptions, UserError> {
@@ -250,7 +251,7 @@ fn measurement_options(
     };
     args.artefact.apply_to(&mut options)?;
     if let Some(text) = &args.range_mm {
-        let ends = motion::parse_range(text).ok_or_else(|| {
+        let ends = motion_args::parse_range(text).ok_or_else(|| {
             UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"))
         })?;
         // It names no axis: Z, which may plunge, has to be requested by name.

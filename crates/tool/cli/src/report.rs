@@ -54,18 +54,18 @@ pub fn verbosity() -> Verbosity {
 }
 
 /// Whether warnings about a file are of no use to the user just now.
-static WARNINGS_SUPPRESSED: AtomicBool = AtomicBool::new(false);
+static ARE_WARNINGS_SUPPRESSED: AtomicBool = AtomicBool::new(false);
 
 /// Returns what `command` comes to; warnings about its files are printed only if it is `of_use`.
 pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
-    WARNINGS_SUPPRESSED.store(!of_use, Ordering::Relaxed);
+    ARE_WARNINGS_SUPPRESSED.store(!of_use, Ordering::Relaxed);
     let done = command();
-    WARNINGS_SUPPRESSED.store(false, Ordering::Relaxed);
+    ARE_WARNINGS_SUPPRESSED.store(false, Ordering::Relaxed);
     done
 }
 
 /// Each error of a file, and how many there are where there is more than one, or more than are listed.
-pub fn report_bad_input(error: InputFileError) {
+pub fn print_input_file_error(error: InputFileError) {
     let unlisted = error.unlisted;
     let errors: Vec<InputFileError> = error.into_single_errors().collect();
     for InputFileError { place, rule, help, .. } in &errors {
@@ -84,21 +84,21 @@ pub fn print_error(text: impl Display) {
 }
 
 /// A warning without a line of a file.
-pub fn warn(text: impl Display) {
+pub fn print_warning(text: impl Display) {
     if !verbosity().quiet {
         print_message(Level::WARNING, &text.to_string(), None, None);
     }
 }
 
 /// A warning with its line.
-pub fn warn_at(Warning { place, what, help }: &Warning) {
+pub fn print_located_warning(Warning { place, what, help }: &Warning) {
     let help = Some(help.as_str()).filter(|help| !help.is_empty());
     print_message(Level::WARNING, what, Some(place), help);
 }
 
 /// Prints the warnings about `file`, each on one line, and where there is more to read about it.
 pub fn print_brief_warnings(file: &Path, warnings: &[Warning]) {
-    if verbosity().quiet || WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
+    if verbosity().quiet || ARE_WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
         return;
     }
     for Warning { place, what, help } in warnings {
@@ -122,7 +122,7 @@ pub fn print_brief_warnings(file: &Path, warnings: &[Warning]) {
 
 /// Prints the remarks on a file that need nothing done, each on one line.
 pub fn print_remarks(remarks: &[Warning]) {
-    if verbosity().quiet || WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
+    if verbosity().quiet || ARE_WARNINGS_SUPPRESSED.load(Ordering::Relaxed) {
         return;
     }
     for Warning { place, what, help } in remarks {
@@ -148,7 +148,7 @@ fn print_message(level: Level<'_>, text: &str, place: Option<&Location>, help: O
         return;
     }
     let text = escape_line(text);
-    let source = place.and_then(source_line);
+    let source = place.and_then(read_source_line);
     let title = level.primary_title(text.as_str());
     let mut group = Group::with_title(title);
     if let Some(place) = place {
@@ -203,7 +203,7 @@ const MAX_LINE_BYTES: u64 = 1 << 16;
 
 /// Returns the line of a place, and the bytes in it that are at fault; `None` where the file is not to be read
 /// again: a pipe, a line without an end, bytes that are no text.
-fn source_line(place: &Location) -> Option<(String, std::ops::Range<usize>)> {
+fn read_source_line(place: &Location) -> Option<(String, std::ops::Range<usize>)> {
     if !place.file.metadata().ok()?.is_file() {
         return None;
     }

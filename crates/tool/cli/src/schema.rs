@@ -5,7 +5,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use trueup_machine::schema;
 
-use crate::{Outcome, output};
+use crate::{CommandOutcome, output};
 
 /// Prints what a machine file or a scenario may hold, as a JSON schema for your editor, or the columns of a
 /// run.
@@ -36,7 +36,7 @@ enum SchemaKind {
 }
 
 /// Prints it.
-pub fn run(args: &SchemaArgs) -> Result<Outcome> {
+pub fn run(args: &SchemaArgs) -> Result<CommandOutcome> {
     let table = || match args.of {
         SchemaKind::Machine => schema::machine_file_markdown(),
         SchemaKind::Run => schema::run_columns_markdown(),
@@ -52,5 +52,5 @@ pub fn run(args: &SchemaArgs) -> Result<Outcome> {
     } else {
         output::print(serde_json::to_string_pretty(&schema())?)?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -12,13 +12,13 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_client::port::Port;
+use trueup_client::port::PortAddress;
 use trueup_serve::{
     broker::{BrokerConfig, TlsFiles},
     publisher::{self, PublisherOptions},
 };
 
-use crate::{Outcome, UserError, gateway::resolve_listen_addresses, output};
+use crate::{CommandOutcome, UserError, gateway::resolve_listen_addresses, output};
 
 /// Publishes a bridge's state to MQTT as Sparkplug B and to MTConnect, and its records to MQTT without loss, until
 /// Ctrl-C.
@@ -92,19 +92,20 @@ fn parse_row_period_s(text: &str) -> Result<f64, String> {
 }
 
 /// Publishes a bridge.
-pub fn run(args: &ServeArgs) -> Result<Outcome> {
+pub fn run(args: &ServeArgs) -> Result<CommandOutcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let options = options_from_args(args)?;
+    let options = publisher_options_from_args(args)?;
     trueup_output::enable_background_output();
     let done = publisher::run(options, stop, |text| trueup_output::write_diagnostic(text))?;
     output::print(&done.counts)?;
-    Ok(if done.is_whole || !args.once { Outcome::Done } else { Outcome::NotMet })
+    Ok(if done.is_whole || !args.once { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
-fn options_from_args(args: &ServeArgs) -> Result<PublisherOptions> {
-    let ports: Result<Vec<Port>, _> = args.ports.iter().map(|port| Port::parse(port)).collect();
+fn publisher_options_from_args(args: &ServeArgs) -> Result<PublisherOptions> {
+    let ports: Result<Vec<PortAddress>, _> =
+        args.ports.iter().map(|port| PortAddress::parse(port)).collect();
     let broker = args.mqtt.as_deref().map(|url| broker_from_args(args, url)).transpose()?;
     let addresses = |listen| resolve_listen_addresses("--mtconnect", listen);
     let mtconnect = args.mtconnect.as_deref().map(addresses).transpose()?.unwrap_or_default();

@@ -11,7 +11,7 @@ use clap::Args;
 use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
-    Outcome, UserError, files,
+    CommandOutcome, UserError, input_files,
     output::{self, FileTransaction},
     report,
 };
@@ -43,7 +43,7 @@ pub struct SignArgs {
 }
 
 /// Makes a key, signs or checks.
-pub fn run(args: &SignArgs) -> Result<Outcome> {
+pub fn run(args: &SignArgs) -> Result<CommandOutcome> {
     match (&args.new, &args.key, &args.check) {
         (Some(path), ..) => generate_key_pair(path),
         (None, Some(key), _) => sign_files(key, &args.files),
@@ -55,7 +55,7 @@ pub fn run(args: &SignArgs) -> Result<Outcome> {
     }
 }
 
-fn generate_key_pair(path: &Path) -> Result<Outcome> {
+fn generate_key_pair(path: &Path) -> Result<CommandOutcome> {
     let key = PrivateKey::generate()?;
     let (private, public) = (key.to_pem()?, key.public_key().to_pem()?);
     let adjacent = public_key_path(path);
@@ -73,12 +73,12 @@ fn generate_key_pair(path: &Path) -> Result<Outcome> {
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", path.display())))?;
     file.write_all(private.as_bytes()).and_then(|()| file.sync_all())?;
     output::write_atomically(&adjacent, &[path], |out| out.write_all(public.as_bytes()))?;
-    report::warn(format_args!(
+    report::print_warning(format_args!(
         "{}: anyone who has this file can sign in your name; keep a copy without access to a network",
         path.display()
     ));
     output::print(adjacent.display())?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Returns `KEY.pub.pem` for `KEY.pem`.
@@ -93,31 +93,31 @@ fn signature_path(file: &Path) -> PathBuf {
     name.into()
 }
 
-fn sign_files(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::read_text(key, MAX_KEY_BYTES)?;
+fn sign_files(key: &Path, names: &[PathBuf]) -> Result<CommandOutcome> {
+    let pem = input_files::read_text(key, MAX_KEY_BYTES)?;
     let private = PrivateKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let inputs: Vec<&Path> = names.iter().map(PathBuf::as_path).chain([key]).collect();
     let mut set = FileTransaction::new(&inputs);
     for file in names {
-        let signature = private.sign(&files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?);
+        let signature = private.sign(&input_files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?);
         set.add(&signature_path(file), |out| out.write_all(&signature))?;
     }
     set.commit()?;
     for file in names {
         output::print(signature_path(file).display())?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn verify_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::read_text(key, MAX_KEY_BYTES)?;
+fn verify_signatures(key: &Path, names: &[PathBuf]) -> Result<CommandOutcome> {
+    let pem = input_files::read_text(key, MAX_KEY_BYTES)?;
     let public = PublicKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
-    let mut outcome = Outcome::Done;
+    let mut outcome = CommandOutcome::Done;
     for file in names {
         let path = signature_path(file);
         let signature_state = if path.is_file() {
-            let message = files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?;
-            let signature = files::read_bytes(&path, MAX_KEY_BYTES)?;
+            let message = input_files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?;
+            let signature = input_files::read_bytes(&path, MAX_KEY_BYTES)?;
             public.verify(&message, &signature).map_err(|fault| fault.to_string())
         } else {
             Err("is missing".to_owned())
@@ -125,8 +125,8 @@ fn verify_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
         match signature_state {
             Ok(()) => output::print(format_args!("{}: signed by this key", file.display()))?,
             Err(why) => {
-                report::warn(format_args!("{}: the signature {why}", file.display()));
-                outcome = Outcome::NotMet;
+                report::print_warning(format_args!("{}: the signature {why}", file.display()));
+                outcome = CommandOutcome::NotMet;
             }
         }
     }

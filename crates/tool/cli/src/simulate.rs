@@ -6,13 +6,15 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
+use trueup_machine::{
+    InputFileError, Location, bounded_read, machine_file::MAX_MACHINE_FILE_BYTES,
+};
 use trueup_twin::{Scenario, simulate};
 
-use crate::{Outcome, output};
+use crate::{CommandOutcome, output};
 
 /// More rows than this are worth a progress bar: about a second of work.
-const PROGRESS_BAR_MIN_ROWS: f64 = 50_000.0;
+const MIN_PROGRESS_BAR_ROWS: f64 = 50_000.0;
 
 /// Writes what the virtual machine tool would measure: a run file with known causes.
 #[derive(Args)]
@@ -29,7 +31,7 @@ pub struct SimulateArgs {
 }
 
 /// Runs the scenario.
-pub fn run(args: &SimulateArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &SimulateArgs, as_json: bool) -> Result<CommandOutcome> {
     let SimulateArgs { scenario: path, seed, output: to } = args;
     let bad = |line, column, rule: &str| {
         InputFileError::new(Location { file: path.clone(), line, column }, rule)
@@ -59,12 +61,12 @@ pub fn run(args: &SimulateArgs, as_json: bool) -> Result<Outcome> {
         let rows = table.row_count();
         output::print(format_args!("{}: {rows} rows of {}", to.display(), columns.join(", ")))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Returns a bar on standard error; none for a short run, or without a terminal.
 fn create_progress_bar(rows: f64) -> ProgressBar {
-    if rows < PROGRESS_BAR_MIN_ROWS {
+    if rows < MIN_PROGRESS_BAR_ROWS {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");

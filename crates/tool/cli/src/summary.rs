@@ -2,12 +2,12 @@
 
 use trueup_machine::{
     Machine,
-    check::{AxisSummary, Summary, no_correction_warning},
+    check::{AxisSummary, MachineSummary, no_correction_warning},
     model::required_columns,
 };
 
 /// Returns a line for the machine, each axis, the limits, the sensor and the board.
-pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
+pub fn summary_text(machine: &Machine, summary: &MachineSummary) -> String {
     let mut lines = vec![format!("\"{}\", {}", machine.name.escape_debug(), machine.kind.name())];
     lines.extend(summary.axes.iter().map(describe_axis));
     lines.push(format!(
@@ -33,7 +33,7 @@ pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
             sensor.um_per_code
         ));
     }
-    let unused = unused_inputs(machine);
+    let unused = find_unused_inputs(machine);
     if !unused.is_empty() {
         lines.push(format!("inputs that no law uses: {}", unused.join(", ")));
     }
@@ -51,8 +51,8 @@ pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
 }
 
 /// Returns the inputs that are described and that nothing on the board goes by.
-fn unused_inputs(machine: &Machine) -> Vec<String> {
-    let used = required_columns(&machine.with_compensated_terms());
+fn find_unused_inputs(machine: &Machine) -> Vec<String> {
+    let used = required_columns(&machine.with_only_compensated_terms());
     let Some(inputs) = &machine.inputs else { return Vec::new() };
     let sensor = inputs.sensor.is_some().then_some(("sensor", "sensor_counts"));
     let names = inputs.temperatures.keys().map(|name| (name.as_str(), name.as_str()));

@@ -8,14 +8,16 @@ use std::{
 
 use anyhow::Result;
 use clap::Args;
-use trueup_compare::{dated, page, thermal_expansion::remove_thermal_expansion, trend::fit_trends};
+use trueup_compare::{
+    dated_constants, html_report, thermal_expansion::remove_thermal_expansion, trend::fit_trends,
+};
 
 use crate::{
-    Outcome, UserError,
+    CommandOutcome, UserError,
     diagnose::parse_positive,
-    files, origin,
+    input_files,
     output::{self, FileTransaction},
-    report,
+    provenance, report,
 };
 
 /// Shows how backlash, pitch and other constants change over dated run files or machine files, and when to
@@ -35,31 +37,31 @@ pub struct TrendArgs {
     machine: Option<PathBuf>,
     /// The day of the report, such as 2026-11-22. Default: today on this computer (UTC).
     #[arg(long, value_name = "DATE", value_parser = parse_day)]
-    today: Option<dated::EpochDay>,
+    today: Option<dated_constants::EpochDay>,
     /// A folder for trend.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: Option<PathBuf>,
 }
 
 /// Parses a day as it is written.
-pub fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
-    dated::find_day_in_name(text).ok_or_else(|| "is no date like 2026-11-22".into())
+pub fn parse_day(text: &str) -> Result<dated_constants::EpochDay, String> {
+    dated_constants::find_date_in_file_name(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
 /// Returns the day of this computer.
-fn today() -> Option<dated::EpochDay> {
+fn today() -> Option<dated_constants::EpochDay> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    dated::EpochDay::try_from(since.as_secs() / 86_400).ok()
+    dated_constants::EpochDay::try_from(since.as_secs() / 86_400).ok()
 }
 
 /// Reads the folder and reports the trends.
-pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &TrendArgs, as_json: bool) -> Result<CommandOutcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", args.folder.display()));
     let entries =
         fs::read_dir(&args.folder).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
-    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
+    let machine = args.machine.as_ref().map(|path| input_files::read_machine(path)).transpose()?;
     let today = args.today.or_else(today);
     let mut notes: Vec<String> = Vec::new();
     let mut days = Vec::new();
@@ -71,27 +73,29 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
         if !matches!(kind.as_str(), "csv" | "toml") {
             continue;
         }
-        let Some(day) = dated::find_day_in_name(&name) else {
-            report::warn(format_args!("{name}: skipped, its name has no date like 2026-11-22"));
+        let Some(day) = dated_constants::find_date_in_file_name(&name) else {
+            report::print_warning(format_args!(
+                "{name}: skipped, its name has no date like 2026-11-22"
+            ));
             continue;
         };
         // A day west of Greenwich is still yesterday, one east of it may be tomorrow.
         if let Some(today) = today.filter(|today| day > today + 1) {
             return Err(bad(format!(
                 "{name} is of a day in the future (today is {}): correct its date, or give --today",
-                dated::format_day(today)
+                dated_constants::format_day(today)
             ))
             .into());
         }
         let constants = match kind.as_str() {
-            "toml" => dated::machine_constants(&files::read_machine(&path)?),
+            "toml" => dated_constants::machine_constants(&input_files::read_machine(&path)?),
             _ => {
-                let run = files::read_run(&path, machine.as_ref())?;
+                let run = input_files::read_run(&path, machine.as_ref())?;
                 let (run, note) = remove_thermal_expansion(&run, machine.as_ref());
                 if !notes.contains(&note) {
                     notes.push(note);
                 }
-                let run_constants = dated::estimate_run_constants(&run);
+                let run_constants = dated_constants::estimate_run_constants(&run);
                 notes.extend(run_constants.outliers.iter().map(|(place, um)| {
                     format!("{}:{}: {um:+.1} µm, excluded as an outlier", name, place.line)
                 }));
@@ -99,7 +103,9 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
             }
         };
         if constants.is_empty() {
-            report::warn(format_args!("{name}: skipped, it has no backlash, pitch or growth"));
+            report::print_warning(format_args!(
+                "{name}: skipped, it has no backlash, pitch or growth"
+            ));
             continue;
         }
         days.push((day, constants));
@@ -114,8 +120,9 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
         output::create_folder(folder)?;
         let mut inputs: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
         inputs.extend(args.machine.as_deref());
-        let origin = origin::from_files(&inputs)?;
-        let html = page::build_trends_page(&found, &args.folder.display().to_string(), &origin);
+        let origin = provenance::provenance_from_files(&inputs)?;
+        let html =
+            html_report::build_trends_page(&found, &args.folder.display().to_string(), &origin);
         let mut set = FileTransaction::new(&[]);
         set.add_texts(folder, [("trend.json", format!("{json}\n")), ("report.html", html)])?;
         set.commit()?;
@@ -132,5 +139,5 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
         }
         notes.iter().try_for_each(output::print)?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use trueup_learn::calibration_monitoring::{CalibrationMonitoringReport, monitor_calibration};
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
-use crate::{Outcome, choice::by_name, diagnose::parse_positive, files, output};
+use crate::{CommandOutcome, choice::by_name, diagnose::parse_positive, input_files, output};
 
 /// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
 ///
@@ -37,17 +37,17 @@ pub struct TrustArgs {
 }
 
 /// Watches the record.
-pub fn run(args: &TrustArgs, as_json: bool) -> Result<Outcome> {
-    let machine = files::read_machine(&args.machine)?;
-    let then = files::read_run(&args.calibrated, Some(&machine))?;
-    let now = files::read_run(&args.run, Some(&machine))?;
+pub fn run(args: &TrustArgs, as_json: bool) -> Result<CommandOutcome> {
+    let machine = input_files::read_machine(&args.machine)?;
+    let then = input_files::read_run(&args.calibrated, Some(&machine))?;
+    let now = input_files::read_run(&args.run, Some(&machine))?;
     let found = monitor_calibration(&machine, &then, &now, args.quantity, args.false_alarm_h)?;
     if as_json {
         output::print(serde_json::to_string_pretty(&found)?)?;
     } else {
         print(&found)?;
     }
-    Ok(if found.alarm.is_some() { Outcome::NotMet } else { Outcome::Done })
+    Ok(if found.alarm.is_some() { CommandOutcome::NotMet } else { CommandOutcome::Done })
 }
 
 fn print(found: &CalibrationMonitoringReport) -> Result<()> {

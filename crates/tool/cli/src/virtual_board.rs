@@ -12,7 +12,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_virtual_bridge::{BridgeOptions, program, qemu::QEMU_PROGRAM as QEMU};
 
-use crate::{Outcome, UserError, embedded_images, files};
+use crate::{CommandOutcome, UserError, embedded_images, input_files};
 
 /// Runs a virtual bridge for any client, until Ctrl-C: the real firmware in QEMU, its line on a TCP port.
 ///
@@ -35,13 +35,13 @@ pub struct VirtualArgs {
 }
 
 /// Runs it.
-pub fn run(args: &VirtualArgs) -> Result<Outcome> {
+pub fn run(args: &VirtualArgs) -> Result<CommandOutcome> {
     if program::find_on_path(QEMU).is_none() {
         let reason =
             format!("{QEMU} is not on PATH; on Debian and Ubuntu: sudo apt install {QEMU}");
         return Err(UserError(reason).into());
     }
-    let machine = files::read_machine(&args.machine)?;
+    let machine = input_files::read_machine(&args.machine)?;
     // Clients wait for the board's time, which must not wait for a terminal.
     trueup_output::enable_background_output();
     let stop = Arc::new(AtomicBool::new(false));
@@ -57,5 +57,5 @@ pub fn run(args: &VirtualArgs) -> Result<Outcome> {
         }
     };
     trueup_virtual_bridge::run(&machine, &args.options, image, stop)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

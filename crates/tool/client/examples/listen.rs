@@ -6,16 +6,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::{port::Port, session::Session};
-use trueup_link::slcan::Event;
+use trueup_client::{port::PortAddress, session::Session};
+use trueup_link::slcan::AdapterMessage;
 
 /// Hands over each event of the bridge on `port` for this long.
 pub fn listen(
     port: &str,
     duration: Duration,
-    mut receive: impl FnMut(Event),
+    mut receive: impl FnMut(AdapterMessage),
 ) -> anyhow::Result<()> {
-    let mut session = Session::open(&Port::parse(port)?)?;
+    let mut session = Session::open(&PortAddress::parse(port)?)?;
     let deadline = Instant::now() + duration;
     while let Some(event) = session.next_event(deadline)? {
         receive(event);

@@ -5,7 +5,7 @@ use std::fmt::{self, Display};
 use anyhow::Result;
 
 use crate::{
-    object::{self, COMMIT, LEGACY_COMMIT, SOFTWARE_VERSION},
+    sdo_object::{self, COMMIT, LEGACY_COMMIT, SOFTWARE_VERSION},
     session::Session,
 };
 
@@ -29,9 +29,9 @@ impl BuildVersion {
     /// # Errors
     /// It does not say its version, or the line is broken.
     pub fn read(session: &mut Session) -> Result<Self> {
-        let version = object::read_text(session, SOFTWARE_VERSION)?;
-        let commit = object::read_number(session, COMMIT)
-            .or_else(|_| object::read_number(session, LEGACY_COMMIT))
+        let version = sdo_object::read_text(session, SOFTWARE_VERSION)?;
+        let commit = sdo_object::read_number(session, COMMIT)
+            .or_else(|_| sdo_object::read_number(session, LEGACY_COMMIT))
             .ok()
             .filter(|commit| *commit != 0);
         Ok(Self { version, commit })

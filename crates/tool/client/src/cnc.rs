@@ -13,14 +13,14 @@ const VALUE_TIMEOUT_MS: u64 = 500;
 pub(crate) const CNC_COLUMNS: [&str; 8] =
     ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm", "dir_x", "dir_y", "dir_z"];
 /// Decimals of each in a run file; the angles stand last.
-const COLUMN_DECIMALS: [usize; VALUE_COUNT] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
-const VALUE_COUNT: usize = CNC_COLUMNS.len() + 2;
+const COLUMN_DECIMALS: [usize; CNC_VALUE_COUNT] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
+const CNC_VALUE_COUNT: usize = CNC_COLUMNS.len() + 2;
 
 /// The CNC's state, where it can be received: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
 pub struct CncState {
     receiver: CncReceiver,
-    values: [Option<(f64, u64)>; VALUE_COUNT],
+    values: [Option<(f64, u64)>; CNC_VALUE_COUNT],
     conditions: Option<(MachineConditions, u64)>,
 }
 

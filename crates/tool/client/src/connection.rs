@@ -19,7 +19,7 @@ use std::{
 
 use trueup_link::{
     frame::Frame,
-    slcan::{Client, Event, client, encode_line},
+    slcan::{AdapterMessage, SlcanClient, client, encode_line},
 };
 
 use crate::{
@@ -47,7 +47,7 @@ pub enum ConnectionEvent {
     /// It cannot be opened, or is broken; why.
     Down(String),
     /// A frame, a refusal or a malformed line came from the bridge.
-    Received(Event),
+    Received(AdapterMessage),
     /// The line has stalled, and delivers frames that are too old: they are dropped.
     Late,
 }
@@ -59,13 +59,13 @@ type SendQueue = Mutex<Option<SyncSender<(Instant, Frame)>>>;
 
 /// A connection to the bridge that is opened again whenever it breaks.
 #[derive(Debug)]
-pub struct Connection {
+pub struct BridgeConnection {
     events: Receiver<TimedEvent>,
     to_send: Arc<SendQueue>,
     stop: Arc<AtomicBool>,
 }
 
-impl Connection {
+impl BridgeConnection {
     /// Keeps a line open until this is dropped.
     pub fn spawn(open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static) -> Self {
         let (sender, received) = mpsc::channel();
@@ -79,7 +79,7 @@ impl Connection {
     /// Returns what has happened since the last call; frames that have waited here for too long are dropped.
     pub fn take_events(&self) -> impl Iterator<Item = ConnectionEvent> + '_ {
         let is_old = |at: Instant, event: &ConnectionEvent| {
-            matches!(event, ConnectionEvent::Received(Event::Frame(_)))
+            matches!(event, ConnectionEvent::Received(AdapterMessage::Frame(_)))
                 && at.elapsed() > MAX_FRAME_AGE
         };
         self.events
@@ -96,7 +96,7 @@ impl Connection {
     }
 }
 
-impl Drop for Connection {
+impl Drop for BridgeConnection {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         lock(&self.to_send).take();
@@ -152,7 +152,7 @@ fn read_events(
     stop: &AtomicBool,
 ) -> String {
     let mut bytes = [0; 4096];
-    let mut client = Client::new();
+    let mut client = SlcanClient::new();
     let (mut last, mut requested_at) = (Instant::now(), Instant::now());
     let mut was_in_time = false;
     while !stop.load(Ordering::Relaxed) {
@@ -164,10 +164,10 @@ fn read_events(
             Ok(length) => {
                 let now = Instant::now();
                 let mut dating = lock(dating);
-                dating.record_bytes(now);
+                dating.record_reception(now);
                 for event in bytes[..length].iter().filter_map(|&byte| client.receive(byte)) {
                     // A bridge whose channel is closed answers every frame, with a refusal.
-                    let is_frame = matches!(event, Event::Frame(_));
+                    let is_frame = matches!(event, AdapterMessage::Frame(_));
                     if is_frame {
                         last = now;
                     }
@@ -287,7 +287,7 @@ mod tests {
                 }
             }
         });
-        let line = Connection::spawn(move || open(number));
+        let line = BridgeConnection::spawn(move || open(number));
         let start = Instant::now();
         let mut refusals = 0;
         while restarts.load(Ordering::Relaxed) < 2 {
@@ -298,7 +298,8 @@ mod tests {
                     !matches!(event, ConnectionEvent::Down(_)),
                     "the line itself stays: {event:?}"
                 );
-                refusals += u32::from(matches!(event, ConnectionEvent::Received(Event::Refused)));
+                refusals +=
+                    u32::from(matches!(event, ConnectionEvent::Received(AdapterMessage::Rejected)));
             }
             thread::sleep(Duration::from_millis(5));
         }
@@ -316,7 +317,7 @@ mod tests {
                 thread::sleep(Duration::from_millis(20));
             }
         });
-        let line = Connection::spawn(move || open(number));
+        let line = BridgeConnection::spawn(move || open(number));
         let start = Instant::now();
         while start.elapsed() < 2 * CHANNEL_REOPEN_TIMEOUT {
             for event in line.take_events() {
@@ -331,7 +332,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let number = listener.local_addr().unwrap().port();
         drop(listener);
-        let line = Connection::spawn(move || open(number));
+        let line = BridgeConnection::spawn(move || open(number));
         let wait = |requested: fn(&ConnectionEvent) -> bool| {
             let start = Instant::now();
             while !line.take_events().any(|event| requested(&event)) {

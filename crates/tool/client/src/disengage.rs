@@ -11,8 +11,8 @@ use trueup_canopen::dictionary::WriteAuthority;
 use trueup_core::cnc::{Control, OffsetQuality};
 
 use crate::{
-    load::{STALE_SERVICE_MARGIN, read_link_timeout},
-    object::{self, ACCEPTED_FRAMES, NOT_AVAILABLE, OFFSETS, QUALITY, WRITE_AUTHORITY},
+    calibration_load::{STALE_SERVICE_MARGIN, read_link_timeout},
+    sdo_object::{self, ACCEPTED_FRAMES, NOT_AVAILABLE, OFFSETS, QUALITY, WRITE_AUTHORITY},
     session::Session,
 };
 
@@ -37,7 +37,7 @@ pub enum DisengageOutcome {
     /// A CNC commands the bridge; nothing was sent.
     CncCommands([Option<i32>; 3]),
     /// They do not come nearer to 0: the bridge follows another sender.
-    Stands([Option<i32>; 3]),
+    Stalled([Option<i32>; 3]),
 }
 
 /// Takes the offsets back, at the slew limit of the calibration. `progress` receives X, Y and Z in nm.
@@ -49,14 +49,14 @@ pub fn disengage(
     progress: &mut dyn FnMut([Option<i32>; 3]),
 ) -> Result<DisengageOutcome> {
     let found = read_quality(session)?;
-    if is_at_rest(found) {
+    if is_offset_inactive(found) {
         return Ok(DisengageOutcome::AtRest(found));
     }
     let from_nm = read_offsets_nm(session)?;
     // One that has disengaged takes its offset back already.
     let is_cnc_commanding = is_cnc_commanding(session)?;
     if !is_cnc_commanding {
-        session.start_control(Control::default());
+        session.start_sending_control_frames(Control::default());
     }
     let start = Instant::now();
     let size = |all: [Option<i32>; 3]| all.into_iter().flatten().map(i32::unsigned_abs).max();
@@ -64,10 +64,11 @@ pub fn disengage(
     let outcome = loop {
         let now_nm = read_offsets_nm(session)?;
         let quality = read_quality(session)?;
-        if is_cnc_commanding && !is_at_rest(quality) && quality != OffsetQuality::RampingOut {
+        if is_cnc_commanding && !is_offset_inactive(quality) && quality != OffsetQuality::RampingOut
+        {
             break DisengageOutcome::CncCommands(now_nm);
         }
-        if is_at_rest(quality) {
+        if is_offset_inactive(quality) {
             break DisengageOutcome::Done { from_nm, took: start.elapsed() };
         }
         progress(now_nm);
@@ -75,24 +76,24 @@ pub fn disengage(
             (smallest, fell) = (size(now_nm), Instant::now());
         }
         if fell.elapsed() > STANDSTILL_TIMEOUT {
-            break DisengageOutcome::Stands(now_nm);
+            break DisengageOutcome::Stalled(now_nm);
         }
         let look = Instant::now() + POLL_INTERVAL;
         while session.next_event(look)?.is_some() {}
     };
-    session.stop_service();
+    session.stop_sending_service_frames();
     Ok(outcome)
 }
 
 /// Returns whether a CNC commands the bridge. One that has just left counts until its link timeout is over.
 fn is_cnc_commanding(session: &mut Session) -> Result<bool> {
-    let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
+    let accepted = sdo_object::read_number(session, ACCEPTED_FRAMES)?;
     let ends = Instant::now() + read_link_timeout(session)? + STALE_SERVICE_MARGIN;
     loop {
-        if object::read_number(session, ACCEPTED_FRAMES)? != accepted {
+        if sdo_object::read_number(session, ACCEPTED_FRAMES)? != accepted {
             return Ok(true);
         }
-        let authority = object::read_number(session, WRITE_AUTHORITY)?;
+        let authority = sdo_object::read_number(session, WRITE_AUTHORITY)?;
         if authority == WriteAuthority::NoMaster as u32 {
             return Ok(false);
         }
@@ -104,12 +105,12 @@ fn is_cnc_commanding(session: &mut Session) -> Result<bool> {
 }
 
 fn read_quality(session: &mut Session) -> Result<OffsetQuality> {
-    let number = object::read_number(session, QUALITY)?;
+    let number = sdo_object::read_number(session, QUALITY)?;
     let quality = u8::try_from(number).ok().and_then(OffsetQuality::from_wire);
     quality.context("the bridge sends an unknown quality")
 }
 
-const fn is_at_rest(quality: OffsetQuality) -> bool {
+const fn is_offset_inactive(quality: OffsetQuality) -> bool {
     matches!(quality, OffsetQuality::Off | OffsetQuality::Fault)
 }
 
@@ -117,7 +118,7 @@ const fn is_at_rest(quality: OffsetQuality) -> bool {
 fn read_offsets_nm(session: &mut Session) -> Result<[Option<i32>; 3]> {
     let mut all = [None; 3];
     for (place, at) in all.iter_mut().zip(OFFSETS) {
-        let nm = object::read_number(session, at)?.cast_signed();
+        let nm = sdo_object::read_number(session, at)?.cast_signed();
         *place = (nm != NOT_AVAILABLE).then_some(nm);
     }
     Ok(all)

@@ -7,8 +7,8 @@
 use embedded_storage::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use trueup_boot::{
     flash_layout::{SLOT_SIZE, Slot},
-    header::{HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE, Version},
     image_check::{Image, ImageDefect, VerifyingKey, check_header, check_image},
+    image_header::{FirmwareVersion, HEADER_SIZE, HeaderError, ImageHeader, SIGNATURE_SIZE},
 };
 
 /// The most bytes of a file: two full slots, and one to see that it is longer.
@@ -58,9 +58,9 @@ pub enum FirmwareFileErrorKind {
     )]
     OtherVersion {
         /// Version of the first part.
-        first: Version,
+        first: FirmwareVersion,
         /// Version of the second one.
-        second: Version,
+        second: FirmwareVersion,
     },
     /// Bytes follow the second part.
     #[error("bytes follow the part for slot B. {REFETCH_HINT}")]
@@ -127,7 +127,7 @@ impl FirmwareFile {
 
     /// Returns the version of all parts.
     #[must_use]
-    pub fn version(&self) -> Version {
+    pub fn version(&self) -> FirmwareVersion {
         self.parts[0].image.header.version
     }
 
@@ -145,7 +145,7 @@ fn parse_part(bytes: &[u8]) -> Result<SlotFirmware, FirmwareFileErrorKind> {
     let (_, decoded) = ImageHeader::decode(header)
         .map_err(|error| FirmwareFileErrorKind::Defect(ImageDefect::Header(error)))?;
     // Which version may start is the board's to know.
-    let image = check_header(header, decoded.slot, SLOT_SIZE, Version(0))
+    let image = check_header(header, decoded.slot, SLOT_SIZE, FirmwareVersion(0))
         .map_err(FirmwareFileErrorKind::Defect)?;
     let length = decoded.length as usize;
     let bytes =
@@ -210,8 +210,9 @@ mod tests {
 
     fn signed(slot: Slot, minor: u8, change: impl FnOnce(&mut ImageHeader)) -> Vec<u8> {
         let body = [minor ^ slot.number(); BODY];
-        let version = Version::new(1, minor, 0, 0);
-        let mut header = ImageHeader::new_unsigned(&body, slot, version, Version::new(1, 0, 0, 0));
+        let version = FirmwareVersion::new(1, minor, 0, 0);
+        let mut header =
+            ImageHeader::new_unsigned(&body, slot, version, FirmwareVersion::new(1, 0, 0, 0));
         change(&mut header);
         [&header.encode()[..], &body].concat()
     }
@@ -235,7 +236,7 @@ mod tests {
             (b.clone(), [false, true]),
         ] {
             let read = FirmwareFile::parse(&file).expect("an update");
-            assert_eq!(read.version(), Version::new(1, 2, 0, 0));
+            assert_eq!(read.version(), FirmwareVersion::new(1, 2, 0, 0));
             for (slot, bytes, has) in [(Slot::A, &a, has[0]), (Slot::B, &b, has[1])] {
                 assert_eq!(read.part_for_slot(slot).map(|part| &part.bytes), has.then_some(bytes));
             }
@@ -273,9 +274,9 @@ mod tests {
             (2 * PART, FirmwareFileErrorKind::TooLong)
         );
         let newer = [&a[..], &part(Slot::B, 3)].concat();
-        let (first, second) = (Version::new(1, 2, 0, 0), Version::new(1, 3, 0, 0));
+        let (first, second) = (FirmwareVersion::new(1, 2, 0, 0), FirmwareVersion::new(1, 3, 0, 0));
         assert_eq!(refused(&newer), (PART, FirmwareFileErrorKind::OtherVersion { first, second }));
-        let other_floor = signed(Slot::B, 2, |header| header.floor = Version(1));
+        let other_floor = signed(Slot::B, 2, |header| header.floor = FirmwareVersion(1));
         let rule = FirmwareFileErrorKind::OtherVersion { first, second: first };
         assert_eq!(refused(&[&a[..], &other_floor].concat()), (PART, rule));
         assert_eq!(
@@ -294,7 +295,7 @@ mod tests {
     fn what_a_header_must_not_say_is_refused_though_nothing_is_damaged() {
         let defect = |change: fn(&mut ImageHeader)| refused(&signed(Slot::A, 2, change)).1;
         assert_eq!(
-            defect(|header| header.floor = Version(u32::MAX)),
+            defect(|header| header.floor = FirmwareVersion(u32::MAX)),
             FirmwareFileErrorKind::Defect(ImageDefect::OwnFloor)
         );
         assert_eq!(

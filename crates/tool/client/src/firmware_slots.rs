@@ -8,14 +8,16 @@ use trueup_boot::{
     boot_state::{ImageStatus, MAX_TRIAL_STARTS},
     flash_layout::Slot,
     handover::StartInfo,
-    header::Version,
+    image_header::FirmwareVersion,
     start::StartReason,
 };
-use trueup_canopen::sdo::{AbortCode, client::ClientError};
+use trueup_canopen::sdo::{AbortCode, client::SdoClientError};
 
 use crate::{
     firmware_file::{FirmwareFile, SlotFirmware},
-    object::{self, MIN_FIRMWARE_VERSION, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUSES, SLOT_VERSIONS},
+    sdo_object::{
+        self, MIN_FIRMWARE_VERSION, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUSES, SLOT_VERSIONS,
+    },
     session::Session,
 };
 
@@ -23,7 +25,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SlotContent {
     /// `None`: no valid header is there.
-    pub version: Option<Version>,
+    pub version: Option<FirmwareVersion>,
     /// `None`: a status of a later version of the board.
     pub status: Option<ImageStatus>,
 }
@@ -36,7 +38,7 @@ pub struct FirmwareSlots {
     /// A, B.
     pub slots: [SlotContent; 2],
     /// The oldest version that may start.
-    pub floor: Version,
+    pub floor: FirmwareVersion,
     /// The reason that the boot program has handed over; `None`: it has not, because it is older than that.
     pub reported: Option<StartInfo>,
 }
@@ -91,9 +93,9 @@ pub enum UnsuitableFirmware {
     )]
     NotNewer {
         /// The version of the file.
-        file: Version,
+        file: FirmwareVersion,
         /// The version that runs.
-        running: Version,
+        running: FirmwareVersion,
     },
     /// It must not start.
     #[error(
@@ -101,9 +103,9 @@ pub enum UnsuitableFirmware {
     )]
     BelowFloor {
         /// The version of the file.
-        file: Version,
+        file: FirmwareVersion,
         /// The oldest version that may start.
-        floor: Version,
+        floor: FirmwareVersion,
     },
     /// The firmware that runs is on trial, and the other slot holds the one to go back to.
     #[error(
@@ -212,15 +214,15 @@ impl FirmwareSlots {
     /// # Errors
     /// The line breaks, or the board reports a slot that is neither.
     pub fn read(session: &mut Session) -> Result<Option<Self>> {
-        let running = match object::read_number(session, RUNNING_SLOT) {
+        let running = match sdo_object::read_number(session, RUNNING_SLOT) {
             Err(error) if is_slot_access_unsupported(&error) => return Ok(None),
             running => running?,
         };
         let running = Slot::ALL.into_iter().find(|slot| u32::from(slot.number()) == running);
         let running = running.context("the bridge runs from a slot that is neither A nor B")?;
         let slots = [read_slot_content(session, Slot::A)?, read_slot_content(session, Slot::B)?];
-        let floor = Version(object::read_number(session, MIN_FIRMWARE_VERSION)?);
-        let reported = match object::read_number(session, SLOT_CHOICE) {
+        let floor = FirmwareVersion(sdo_object::read_number(session, MIN_FIRMWARE_VERSION)?);
+        let reported = match sdo_object::read_number(session, SLOT_CHOICE) {
             Err(error) if is_slot_access_unsupported(&error) => None,
             word => StartInfo::decode(word?),
         };
@@ -251,16 +253,18 @@ impl FirmwareSlots {
         match (reason, other) {
             (StartReason::Trial(start), _) if is_confirmed => SlotChoiceReason::TrialPassed(start),
             (StartReason::Trial(start), _) => SlotChoiceReason::Trial(start),
-            (StartReason::Alone, _) if is_confirmed => SlotChoiceReason::AloneConfirmed,
-            (StartReason::Alone, _) => SlotChoiceReason::Alone,
+            (StartReason::OnlyImage, _) if is_confirmed => SlotChoiceReason::AloneConfirmed,
+            (StartReason::OnlyImage, _) => SlotChoiceReason::Alone,
             (StartReason::Newest, _) if waits => SlotChoiceReason::NewerWaits,
             (StartReason::Newest, None) => SlotChoiceReason::Only,
             (StartReason::Newest, Some(_)) => SlotChoiceReason::Newest,
-            (StartReason::WentBack, Some(ImageStatus::Rejected)) => SlotChoiceReason::NewerRejected,
-            (StartReason::WentBack, Some(ImageStatus::Loading)) => {
+            (StartReason::RolledBack, Some(ImageStatus::Rejected)) => {
+                SlotChoiceReason::NewerRejected
+            }
+            (StartReason::RolledBack, Some(ImageStatus::Loading)) => {
                 SlotChoiceReason::NewerIncomplete
             }
-            (StartReason::WentBack, _) => SlotChoiceReason::NewerPassedOver,
+            (StartReason::RolledBack, _) => SlotChoiceReason::NewerPassedOver,
             (StartReason::LastResort, _) => SlotChoiceReason::LastResort,
         }
     }
@@ -299,7 +303,7 @@ impl FirmwareSlots {
     ///
     /// # Errors
     /// [`UnsuitableFirmware`]: the board would refuse it, or never start it.
-    pub fn part_for_spare_slot<'f>(
+    pub fn select_firmware_for_spare_slot<'f>(
         &self,
         file: &'f FirmwareFile,
     ) -> Result<&'f SlotFirmware, UnsuitableFirmware> {
@@ -338,11 +342,11 @@ impl FirmwareSlots {
 }
 
 fn read_slot_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
-    let version = object::read_number(session, *slot.element_of(&SLOT_VERSIONS))?;
+    let version = sdo_object::read_number(session, *slot.element_of(&SLOT_VERSIONS))?;
     let [status, starts, ..] =
-        object::read_number(session, *slot.element_of(&SLOT_STATUSES))?.to_le_bytes();
+        sdo_object::read_number(session, *slot.element_of(&SLOT_STATUSES))?.to_le_bytes();
     Ok(SlotContent {
-        version: (version != 0).then_some(Version(version)),
+        version: (version != 0).then_some(FirmwareVersion(version)),
         status: ImageStatus::decode([status, starts]),
     })
 }
@@ -351,26 +355,26 @@ fn read_slot_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
 fn is_slot_access_unsupported(error: &anyhow::Error) -> bool {
     let codes =
         [AbortCode::NoData, AbortCode::NoObject, AbortCode::NoSubindex].map(AbortCode::code);
-    matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if codes.contains(code))
+    matches!(error.downcast_ref(), Some(SdoClientError::Aborted { code, .. }) if codes.contains(code))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const OLD: Option<Version> = Some(Version::new(1, 0, 0, 0));
-    const NEW: Option<Version> = Some(Version::new(1, 1, 0, 0));
-    const LATER: Option<Version> = Some(Version::new(1, 2, 0, 0));
+    const OLD: Option<FirmwareVersion> = Some(FirmwareVersion::new(1, 0, 0, 0));
+    const NEW: Option<FirmwareVersion> = Some(FirmwareVersion::new(1, 1, 0, 0));
+    const LATER: Option<FirmwareVersion> = Some(FirmwareVersion::new(1, 2, 0, 0));
 
     /// The board runs from B.
     fn state(
-        ours: (Option<Version>, ImageStatus),
-        other: (Option<Version>, ImageStatus),
+        ours: (Option<FirmwareVersion>, ImageStatus),
+        other: (Option<FirmwareVersion>, ImageStatus),
     ) -> FirmwareSlots {
         let content =
             |(version, status): (_, ImageStatus)| SlotContent { version, status: Some(status) };
         let slots = [content(other), content(ours)];
-        FirmwareSlots { running: Slot::B, slots, floor: Version(0), reported: None }
+        FirmwareSlots { running: Slot::B, slots, floor: FirmwareVersion(0), reported: None }
     }
 
     #[test]
@@ -415,9 +419,9 @@ mod tests {
             (Reason::Newest, None, Confirmed, (None, New), Chosen::Only, true),
             (Reason::Newest, Some(Rejected), Confirmed, (OLD, Rejected), Chosen::Newest, true),
             (Reason::Trial(2), Some(Confirmed), Trial(2), (OLD, Confirmed), Chosen::Trial(2), true),
-            (Reason::Alone, None, New, (None, New), Chosen::Alone, true),
+            (Reason::OnlyImage, None, New, (None, New), Chosen::Alone, true),
             (
-                Reason::WentBack,
+                Reason::RolledBack,
                 Some(Rejected),
                 Confirmed,
                 (LATER, Rejected),
@@ -425,14 +429,14 @@ mod tests {
                 true,
             ),
             (
-                Reason::WentBack,
+                Reason::RolledBack,
                 Some(Loading),
                 Confirmed,
                 (LATER, Loading),
                 Chosen::NewerIncomplete,
                 true,
             ),
-            (Reason::WentBack, Some(New), Confirmed, (LATER, New), Chosen::NewerPassedOver, true),
+            (Reason::RolledBack, Some(New), Confirmed, (LATER, New), Chosen::NewerPassedOver, true),
             (Reason::LastResort, None, Rejected, (None, New), Chosen::LastResort, true),
             (
                 Reason::Newest,
@@ -444,7 +448,7 @@ mod tests {
             ),
             // Where it cannot know.
             (
-                Reason::WentBack,
+                Reason::RolledBack,
                 Some(Verified),
                 Confirmed,
                 (LATER, Verified),
@@ -452,7 +456,7 @@ mod tests {
                 false,
             ),
             (
-                Reason::WentBack,
+                Reason::RolledBack,
                 Some(Rejected),
                 Confirmed,
                 (LATER, Verified),
@@ -467,7 +471,7 @@ mod tests {
                 Chosen::TrialPassed(3),
                 false,
             ),
-            (Reason::Alone, None, Confirmed, (None, New), Chosen::AloneConfirmed, false),
+            (Reason::OnlyImage, None, Confirmed, (None, New), Chosen::AloneConfirmed, false),
         ] {
             let mut state = state((NEW, ours), spare);
             assert_eq!(state.choice_reason() == choice, derived, "{reason:?} {other:?} {spare:?}");

@@ -24,7 +24,7 @@ use std::{
 
 use trueup_link::{
     layout::{OFFSET_PERIOD_MS, OFFSET_Z_ID},
-    slcan::Event,
+    slcan::AdapterMessage,
 };
 
 /// From one question to the next.
@@ -108,7 +108,7 @@ impl LatencyMonitor {
     }
 
     /// Takes note that bytes have come.
-    pub(crate) fn record_bytes(&mut self, now: Instant) {
+    pub(crate) fn record_reception(&mut self, now: Instant) {
         self.first_byte.get_or_insert(now);
         let before = self.last_byte.replace(now);
         if before.is_none_or(|before| now.saturating_duration_since(before) > SILENCE_THRESHOLD) {
@@ -117,13 +117,13 @@ impl LatencyMonitor {
     }
 
     /// Takes what has come, and returns whether it is to be used.
-    pub fn accept(&mut self, now: Instant, event: &Event) -> bool {
+    pub fn accept(&mut self, now: Instant, event: &AdapterMessage) -> bool {
         match event {
-            Event::Other(line) => {
+            AdapterMessage::Other(line) => {
                 self.record_response(now, line);
                 true
             }
-            Event::Frame(frame) => {
+            AdapterMessage::Frame(frame) => {
                 if frame.id() == OFFSET_Z_ID {
                     self.pace.count_frame(now);
                 }
@@ -187,13 +187,13 @@ mod tests {
     use super::*;
     use trueup_link::{
         frame::Frame,
-        slcan::{Client, Port},
+        slcan::{Port, SlcanClient},
     };
 
     const MS: Duration = Duration::from_millis(1);
 
-    fn offset() -> Event {
-        Event::Frame(Frame::new(OFFSET_Z_ID, &[0; 8]).expect("a frame"))
+    fn offset() -> AdapterMessage {
+        AdapterMessage::Frame(Frame::new(OFFSET_Z_ID, &[0; 8]).expect("a frame"))
     }
 
     /// Returns a line on which each way takes `delay`, and which stands still from 1 s to `until`: how many of the
@@ -212,7 +212,7 @@ mod tests {
         let mut dating = LatencyMonitor::default();
         let (mut down, mut up) = (VecDeque::new(), VecDeque::new());
         let (mut used, mut sent) = (Vec::new(), Vec::new());
-        let (mut port, mut client) = (Port::new(7), Client::new());
+        let (mut port, mut client) = (Port::new(7), SlcanClient::new());
         for ms in 0..8_000 {
             let now = at(ms);
             down.push_back((now, arrives(now), offset()));
@@ -232,11 +232,11 @@ mod tests {
                 }
             }
             if down.front().is_some_and(|(_, arrives, _)| *arrives <= now) {
-                dating.record_bytes(now);
+                dating.record_reception(now);
             }
             while down.front().is_some_and(|(_, arrives, _)| *arrives <= now) {
                 let (was_sent, _, event) = down.pop_front().expect("looked at");
-                if dating.accept(now, &event) && matches!(event, Event::Frame(_)) {
+                if dating.accept(now, &event) && matches!(event, AdapterMessage::Frame(_)) {
                     used.push((now - was_sent).as_millis());
                 }
             }
@@ -279,7 +279,7 @@ mod tests {
     fn questions_that_were_lost_in_a_restart_do_not_age_the_answers_after_it() {
         for lost_ms in [30, 90, 300, 3_000, 60_000] {
             let start = Instant::now();
-            let (mut dating, mut client) = (LatencyMonitor::default(), Client::new());
+            let (mut dating, mut client) = (LatencyMonitor::default(), SlcanClient::new());
             let mut stale_until = 0;
             for ms in 0..lost_ms + 3_000 {
                 let now = start + ms * MS;
@@ -316,7 +316,7 @@ mod tests {
         let start = Instant::now();
         let mut dating = LatencyMonitor::default();
         let answer = |letter: u8| {
-            let mut client = Client::new();
+            let mut client = SlcanClient::new();
             client.receive(letter);
             client.receive(b'\r').expect("a line")
         };

@@ -13,10 +13,10 @@
 //! | [`duplex_stream`] | both directions of an open line |
 //! | [`line`](mod@connection) | a line that is opened again whenever it breaks, for who stays on it |
 //! | [`session`] | one client's time on the line: open, receive, request, close |
-//! | [`object`] | the objects of the bridge, by SDO |
+//! | [`sdo_object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
-//! | [`load`] | a calibration, sent, read back and put to use |
-//! | [`firmware`] | a new firmware, sent to the other slot of a board, and put to use |
+//! | [`calibration_load`] | a calibration, sent, read back and put to use |
+//! | [`firmware_transfer`] | a new firmware, sent to the other slot of a board, and put to use |
 //! | [`firmware_file`] | the file of an update, read and checked |
 //! | [`firmware_slots`] | the slots of a board: versions, status, why the one that runs was chosen |
 //! | [`previous_calibration`] | the calibration that a load has replaced |
@@ -39,16 +39,15 @@
 #![forbid(unsafe_code)]
 
 pub mod build;
+pub mod calibration_load;
 pub mod cnc;
 pub mod connection;
 pub mod disengage;
 pub mod duplex_stream;
-pub mod firmware;
 pub mod firmware_file;
 pub mod firmware_slots;
+pub mod firmware_transfer;
 mod latency;
-pub mod load;
-pub mod object;
 pub mod operator_questions;
 pub mod pinned_calibration;
 pub mod poll;
@@ -60,6 +59,7 @@ pub mod record;
 pub mod reference;
 pub mod remedy;
 pub mod saved_board;
+pub mod sdo_object;
 pub mod session;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket_can;

@@ -20,7 +20,7 @@ pub const CONFIRM_INSTRUCTIONS: &str = "an edge of Confirm at the CNC answers on
 /// Returns the questions that are open in this state: the word of each, and what to do about it, in the order in
 /// which `Confirm` answers them.
 #[must_use]
-pub fn open_questions(state: StateBits) -> Vec<(&'static str, &'static str)> {
+pub fn unanswered_questions(state: StateBits) -> Vec<(&'static str, &'static str)> {
     let open = QUESTION_ORDER.into_iter().filter(|question| state.contains(*question));
     let words = open
         .filter_map(|bit| StateBits::NAMES.into_iter().find(|(candidate, _)| *candidate == bit));
@@ -34,7 +34,7 @@ mod tests {
     #[test]
     fn the_questions_come_in_the_order_of_their_answers() {
         let words = |bits| -> Vec<_> {
-            open_questions(StateBits(bits)).into_iter().map(|(word, _)| word).collect()
+            unanswered_questions(StateBits(bits)).into_iter().map(|(word, _)| word).collect()
         };
         assert_eq!(words(0x1_0001), [""; 0]);
         assert_eq!(

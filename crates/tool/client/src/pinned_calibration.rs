@@ -50,7 +50,7 @@ impl PinnedCalibration {
 
     /// Takes the CRC that the bridge says it runs on (0: on none), and returns the sentence for the user, if this
     /// is news. A first contact is written down, before anything is engaged.
-    pub fn set_running_crc(&mut self, running: Option<u32>) -> Option<String> {
+    pub fn update_running_crc(&mut self, running: Option<u32>) -> Option<String> {
         if running == self.running {
             return None;
         }
@@ -198,21 +198,21 @@ mod tests {
         let start = || PinnedCalibration::new(CalibrationPolicy::FirstContact(path.clone()));
         let mut first = start();
         assert!(!first.is_engage_allowed() && !first.is_engage_refused(), "nothing is known yet");
-        assert_eq!(first.set_running_crc(None), None);
-        assert_eq!(first.set_running_crc(Some(0)), None, "no calibration is none to be pinned");
+        assert_eq!(first.update_running_crc(None), None);
+        assert_eq!(first.update_running_crc(Some(0)), None, "no calibration is none to be pinned");
         assert!(!first.is_engage_allowed() && !path.exists());
-        let notices = first.set_running_crc(Some(OURS)).expect("news");
+        let notices = first.update_running_crc(Some(OURS)).expect("news");
         assert!(notices.contains("first contact") && notices.contains("1234abcd"), "{notices}");
-        assert!(first.is_engage_allowed() && first.set_running_crc(Some(OURS)).is_none());
+        assert!(first.is_engage_allowed() && first.update_running_crc(Some(OURS)).is_none());
         // The bridge is away for a while, and back with another.
-        assert_eq!(first.set_running_crc(None), None);
+        assert_eq!(first.update_running_crc(None), None);
         assert!(!first.is_engage_allowed() && !first.is_engage_refused());
         for mut pinned in [first, start()] {
-            let notices = pinned.set_running_crc(Some(OTHER)).expect("news");
+            let notices = pinned.update_running_crc(Some(OTHER)).expect("news");
             assert!(notices.contains("1234abcd") && notices.contains("00004321"), "{notices}");
             assert!(notices.contains("delete that file"), "{notices}");
             assert!(!pinned.is_engage_allowed() && pinned.is_engage_refused());
-            assert_eq!(pinned.set_running_crc(Some(OURS)), None);
+            assert_eq!(pinned.update_running_crc(Some(OURS)), None);
             assert!(pinned.is_engage_allowed() && !pinned.is_engage_refused());
         }
     }
@@ -230,7 +230,7 @@ mod tests {
         ] {
             fs::write(&path, text).expect("a file");
             let mut pinned = PinnedCalibration::new(CalibrationPolicy::FirstContact(path.clone()));
-            let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+            let notices = pinned.update_running_crc(Some(OURS)).expect("news");
             assert!(
                 notices.contains("damaged") && notices.contains("bridge info"),
                 "{text:?}: {notices}"
@@ -241,12 +241,12 @@ mod tests {
         // A folder in its place: neither readable nor writable.
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::FirstContact(folder.path().into()));
-        let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+        let notices = pinned.update_running_crc(Some(OURS)).expect("news");
         assert!(notices.contains("cannot be read") && !pinned.is_engage_allowed(), "{notices}");
         fs::write(&path, "x").expect("a file");
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::FirstContact(path.join("below-a-file")));
-        let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+        let notices = pinned.update_running_crc(Some(OURS)).expect("news");
         assert!(notices.contains("cannot be") && !pinned.is_engage_allowed(), "{notices}");
     }
 
@@ -269,18 +269,18 @@ mod tests {
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::Machine { crc: OURS, path: "m.toml".into() });
         assert!(!pinned.is_engage_allowed());
-        let notices = pinned.set_running_crc(Some(OTHER)).expect("news");
+        let notices = pinned.update_running_crc(Some(OTHER)).expect("news");
         assert!(
             notices.contains("m.toml makes 1234abcd") && notices.contains("00004321"),
             "{notices}"
         );
         assert!(notices.contains("bridge load"), "{notices}");
         assert!(!pinned.is_engage_allowed());
-        assert_eq!(pinned.set_running_crc(Some(OURS)), None);
+        assert_eq!(pinned.update_running_crc(Some(OURS)), None);
         assert!(pinned.is_engage_allowed());
         let mut any = PinnedCalibration::new(CalibrationPolicy::Any);
         assert!(any.is_engage_allowed());
-        assert_eq!(any.set_running_crc(Some(OTHER)), None);
+        assert_eq!(any.update_running_crc(Some(OTHER)), None);
         assert!(any.is_engage_allowed() && !any.is_engage_refused());
     }
 }

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use trueup_canopen::sdo::client::{ObjectAddress, Progress, Upload};
+use trueup_canopen::sdo::client::{ObjectAddress, TransferProgress, Upload};
 use trueup_link::{
     frame::Frame,
     layout::{SDO_REQUEST_ID, SDO_RESPONSE_ID},
@@ -22,11 +22,11 @@ pub enum PollOutcome {
     /// Nothing of this object.
     Nothing,
     /// This is to be sent.
-    Ask(Frame),
+    Request(Frame),
     /// The object's bytes.
     Bytes(Vec<u8>),
     /// The bridge does not give it.
-    Refused,
+    Rejected,
 }
 
 /// One object, and when it is requested next.
@@ -75,25 +75,25 @@ impl ObjectPoller {
             return PollOutcome::Nothing;
         };
         match upload.receive(frame, bytes) {
-            Ok(Progress::Unchanged) => {
+            Ok(TransferProgress::Unchanged) => {
                 if is_of_sdo {
                     self.running = None;
                     self.due = now + BACKOFF_DELAY;
                 }
                 PollOutcome::Nothing
             }
-            Ok(Progress::Ask(request)) => {
+            Ok(TransferProgress::Request(request)) => {
                 *last = now;
-                PollOutcome::Ask(request)
+                PollOutcome::Request(request)
             }
-            Ok(Progress::Done) => {
+            Ok(TransferProgress::Done) => {
                 let bytes = std::mem::take(bytes);
                 self.running = None;
                 PollOutcome::Bytes(bytes)
             }
             Err(_) => {
                 self.running = None;
-                PollOutcome::Refused
+                PollOutcome::Rejected
             }
         }
     }
@@ -116,7 +116,7 @@ impl ObjectPoller {
 mod tests {
     use super::*;
 
-    const AT: ObjectAddress = crate::object::ELONGATION;
+    const AT: ObjectAddress = crate::sdo_object::ELONGATION;
 
     fn answer(data: [u8; 8]) -> Frame {
         Frame::new(SDO_RESPONSE_ID, &data).expect("eight bytes")
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(poll.take_due_request(start + 3 * period), None);
         assert!(poll.take_due_request(start + 6 * period).is_some());
         let abort = own_answer(0x80, [0, 0, 2, 6]);
-        assert_eq!(poll.receive(&abort, start + 6 * period), PollOutcome::Refused);
+        assert_eq!(poll.receive(&abort, start + 6 * period), PollOutcome::Rejected);
     }
 
     #[test]

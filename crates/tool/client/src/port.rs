@@ -17,12 +17,12 @@ use crate::{
 };
 
 /// The speed of the bridge's serial line.
-pub(crate) const BAUD_RATE: u32 = 921_600;
+pub(crate) const BRIDGE_BAUD_RATE: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Where a bridge is.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Port {
+pub enum PortAddress {
     /// A TCP connection, written `tcp:HOST:PORT`.
     Tcp(String),
     /// A serial device.
@@ -32,7 +32,7 @@ pub enum Port {
     Can(String),
 }
 
-impl Port {
+impl PortAddress {
     /// Reads what the user wrote.
     ///
     /// # Errors
@@ -73,7 +73,7 @@ impl Port {
     /// Returns whether an adapter of SLCAN answers behind it: the bridge itself, whose channel has to be
     /// opened and which says who it is. Behind a CAN interface nothing answers but frames.
     #[must_use]
-    pub const fn has_adapter(&self) -> bool {
+    pub const fn uses_slcan(&self) -> bool {
         match self {
             Self::Tcp(_) | Self::Serial(_) => true,
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
@@ -96,7 +96,8 @@ impl Port {
                 Ok((Box::new(stream.try_clone()?), Box::new(stream)))
             }
             Self::Serial(device) => {
-                let serial = serialport::new(device, BAUD_RATE).timeout(READ_TIMEOUT).open()?;
+                let serial =
+                    serialport::new(device, BRIDGE_BAUD_RATE).timeout(READ_TIMEOUT).open()?;
                 Ok((Box::new(serial.try_clone()?), Box::new(serial)))
             }
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
@@ -143,14 +144,14 @@ mod tests {
     #[test]
     fn ports_are_distinguished_by_their_form() {
         for (text, port) in [
-            ("tcp:localhost:3333", Port::Tcp("localhost:3333".into())),
-            ("tcp:[::1]:3333", Port::Tcp("[::1]:3333".into())),
-            ("/dev/ttyACM0", Port::Serial("/dev/ttyACM0".into())),
-            ("COM3", Port::Serial("COM3".into())),
-            (r"\\.\COM12", Port::Serial(r"\\.\COM12".into())),
+            ("tcp:localhost:3333", PortAddress::Tcp("localhost:3333".into())),
+            ("tcp:[::1]:3333", PortAddress::Tcp("[::1]:3333".into())),
+            ("/dev/ttyACM0", PortAddress::Serial("/dev/ttyACM0".into())),
+            ("COM3", PortAddress::Serial("COM3".into())),
+            (r"\\.\COM12", PortAddress::Serial(r"\\.\COM12".into())),
         ] {
-            assert_eq!(Port::parse(text).expect(text), port);
-            assert!(port.has_adapter() && port.interface_name() == "can0", "{text}");
+            assert_eq!(PortAddress::parse(text).expect(text), port);
+            assert!(port.uses_slcan() && port.interface_name() == "can0", "{text}");
         }
     }
 
@@ -158,9 +159,9 @@ mod tests {
     #[test]
     fn a_can_interface_goes_by_its_name_and_has_no_adapter() {
         for text in ["can0", "vcan1", "slcan0"] {
-            let port = Port::parse(text).expect(text);
-            assert_eq!((&port, port.interface_name()), (&Port::Can(text.into()), text));
-            assert!(!port.has_adapter(), "{text}");
+            let port = PortAddress::parse(text).expect(text);
+            assert_eq!((&port, port.interface_name()), (&PortAddress::Can(text.into()), text));
+            assert!(!port.uses_slcan(), "{text}");
         }
     }
 
@@ -168,7 +169,7 @@ mod tests {
     #[test]
     fn a_can_interface_that_this_build_cannot_open_is_no_port_at_all() {
         for text in ["can0", "vcan1", "slcan0"] {
-            let error = Port::parse(text).expect_err(text).to_string();
+            let error = PortAddress::parse(text).expect_err(text).to_string();
             let phrase = format!("--port {text}: this tool was built without SocketCAN");
             assert!(
                 error.starts_with(&phrase) && error.contains("without --no-default-features"),
@@ -187,7 +188,7 @@ mod tests {
             ("localhost:3333", "a port is tcp:HOST:PORT, a serial device"),
             ("", "a port is"),
         ] {
-            let error = Port::parse(text).expect_err(text).to_string();
+            let error = PortAddress::parse(text).expect_err(text).to_string();
             assert!(error.contains(phrase), "{error}");
         }
     }
@@ -197,7 +198,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let number = listener.local_addr().expect("bound above").port();
         // The name may have an address of the other family too, where no server listens.
-        let port = Port::Tcp(format!("localhost:{number}"));
+        let port = PortAddress::Tcp(format!("localhost:{number}"));
         let (mut reader, mut writer) = port.open().expect("it listens");
         let (mut bridge, _) = listener.accept().expect("it has connected");
         let mut bytes = [0; 4];

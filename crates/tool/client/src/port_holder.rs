@@ -9,7 +9,7 @@ use std::{
 
 use trueup_output::escape::escape_line;
 
-use crate::port::Port;
+use crate::port::PortAddress;
 
 /// The state of a connection in `/proc/net/tcp` that stands.
 const TCP_ESTABLISHED: &str = "01";
@@ -18,10 +18,10 @@ const MAX_COMMAND_LINE_CHARS: usize = 60;
 
 /// Returns the other program that holds the line to `port`: its command line and its number; `None`: none is known.
 #[must_use]
-pub fn port_holder(port: &Port) -> Option<String> {
+pub fn port_holder(port: &PortAddress) -> Option<String> {
     let targets: Vec<PathBuf> = match port {
-        Port::Serial(device) => vec![fs::canonicalize(device).ok()?],
-        Port::Tcp(address) => {
+        PortAddress::Serial(device) => vec![fs::canonicalize(device).ok()?],
+        PortAddress::Tcp(address) => {
             let server = address
                 .to_socket_addrs()
                 .ok()?
@@ -32,7 +32,7 @@ pub fn port_holder(port: &Port) -> Option<String> {
             tables.flat_map(|table| client_sockets(&table, server)).collect()
         }
         #[cfg(all(feature = "socketcan", target_os = "linux"))]
-        Port::Can(_) => return None,
+        PortAddress::Can(_) => return None,
     };
     let mut processes: Vec<u32> = fs::read_dir("/proc")
         .ok()?
@@ -99,7 +99,7 @@ mod tests {
         use std::{io::Read as _, net::TcpListener, process};
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let number = listener.local_addr().expect("bound").port();
-        let port = Port::Tcp(format!("localhost:{number}"));
+        let port = PortAddress::Tcp(format!("localhost:{number}"));
         // This process itself is not another holder.
         let own = std::net::TcpStream::connect(("127.0.0.1", number)).expect("it listens");
         listener.accept().expect("connected");

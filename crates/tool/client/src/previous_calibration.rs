@@ -18,20 +18,20 @@ use crate::pinned_calibration::state_folder;
 
 /// The place of what is kept for one board.
 #[derive(Clone, Debug)]
-pub struct PreviousCalibration {
+pub struct PreviousCalibrationStore {
     folder: PathBuf,
     /// The hash of the chip's number.
     board: u32,
 }
 
-impl PreviousCalibration {
+impl PreviousCalibrationStore {
     /// Returns the place in the folder for states of this user; `None`: there is none.
     #[must_use]
     pub fn for_board(board: u32) -> Option<Self> {
-        Self::with_environment(board, |name| env::var_os(name))
+        Self::from_environment(board, |name| env::var_os(name))
     }
 
-    fn with_environment(board: u32, variable: impl Fn(&str) -> Option<OsString>) -> Option<Self> {
+    fn from_environment(board: u32, variable: impl Fn(&str) -> Option<OsString>) -> Option<Self> {
         Some(Self { folder: state_folder(variable)?.join("replaced"), board })
     }
 
@@ -82,7 +82,7 @@ mod tests {
     fn what_was_replaced_is_found_by_board_and_by_what_replaced_it() {
         let home = tempfile::tempdir().expect("a folder");
         let of = |board| {
-            PreviousCalibration::with_environment(board, |name| {
+            PreviousCalibrationStore::from_environment(board, |name| {
                 (name == "HOME").then(|| home.path().into())
             })
             .expect("it has a home")
@@ -99,6 +99,6 @@ mod tests {
         of(1).save(&second, calibration_crc(&second)).expect("nothing to do");
         let retained = of(1).find(calibration_crc(&second)).expect("as before");
         assert_eq!(fs::read(retained).expect("it is there"), first);
-        assert!(PreviousCalibration::with_environment(1, |_| None).is_none());
+        assert!(PreviousCalibrationStore::from_environment(1, |_| None).is_none());
     }
 }

@@ -26,7 +26,7 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_core::{cnc::Output, dimensions::CHANNEL_COUNT};
+use trueup_core::{cnc::Output, design_parameters::TEMPERATURE_CHANNEL_COUNT};
 use trueup_link::{
     frame::Frame,
     frames::{OFFSET_XY_ID, e2e_counter},
@@ -34,12 +34,12 @@ use trueup_link::{
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{Quantity, SensorModel},
+    machine_file::{Quantity, SensorModel},
     model::sensor_counts_from_elongation,
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
-use self::output_file::OutputFile;
+use self::output_file::RecordingFile;
 use crate::{
     UnusableInput,
     cnc::{self, CncState},
@@ -52,11 +52,11 @@ pub(crate) const ROW_PERIOD_MS: u64 = 100;
 
 /// Writes both files of a recording.
 pub struct Recorder {
-    log: OutputFile,
+    log: RecordingFile,
     /// The name of the interface in the log.
     interface: String,
-    run: OutputFile,
-    columns: Columns,
+    run: RecordingFile,
+    columns: MachineColumns,
     clock: BridgeClock,
     offsets: OffsetReceiver,
     cnc: CncState,
@@ -74,7 +74,7 @@ pub struct Recorder {
 }
 
 /// The columns that depend on the machine.
-struct Columns {
+struct MachineColumns {
     /// Channel and name.
     temperatures: Vec<(u8, String)>,
     /// The law that makes the elongation on the wire out of counts.
@@ -100,8 +100,8 @@ impl Recorder {
         gauge: Option<Quantity>,
     ) -> Result<Self> {
         let columns = match machine {
-            Some(machine) => Columns::from_machine(&MachineFile::read(machine)?),
-            None => Columns::with_default_names(),
+            Some(machine) => MachineColumns::from_machine(&MachineFile::read(machine)?),
+            None => MachineColumns::with_default_names(),
         };
         let is_file =
             path.extension().is_some_and(|extension| extension == "log" || extension == "csv");
@@ -113,7 +113,7 @@ impl Recorder {
             path.join("bridge.log")
         };
         let run = log.with_extension("csv");
-        let (log, mut run) = (OutputFile::create(log)?, OutputFile::create(run)?);
+        let (log, mut run) = (RecordingFile::create(log)?, RecordingFile::create(run)?);
         let measured = gauge.map(|quantity| format!(",measured_{}_um", quantity.name()));
         run.write_line(&(columns.header() + &measured.unwrap_or_default()))?;
         Ok(Self {
@@ -266,7 +266,7 @@ pub fn temperature_columns(machine: &Machine) -> Vec<(u8, String)> {
     temperatures
 }
 
-impl Columns {
+impl MachineColumns {
     fn from_machine(machine: &Machine) -> Self {
         let temperatures = temperature_columns(machine);
         let mut angles = Self::default_angle_columns();
@@ -281,7 +281,7 @@ impl Columns {
 
     fn with_default_names() -> Self {
         let name = |channel| (channel, format!("temp_channel{channel}_c"));
-        let temperatures = (0..CHANNEL_COUNT as u8).map(name).collect();
+        let temperatures = (0..TEMPERATURE_CHANNEL_COUNT as u8).map(name).collect();
         Self {
             temperatures,
             sensor: None,

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use trueup_store::write_log::{WriteKind, WriteOrigin};
 
 use crate::{
-    object::{self, ObjectAddress},
+    sdo_object::{self, ObjectAddress},
     session::Session,
     write_log::format_utc,
 };
@@ -40,23 +40,24 @@ impl BridgeReference {
     /// The line breaks, or the bridge does not answer.
     pub fn read(session: &mut Session) -> Result<Self> {
         let mut all = Self::default();
-        if object::read_number(session, object::REFERENCE_ACTIVE)? != 0 {
-            all.in_force = Some(read_components(session, object::REFERENCE_COMPONENTS)?);
+        if sdo_object::read_number(session, sdo_object::REFERENCE_ACTIVE)? != 0 {
+            all.in_force = Some(read_components(session, sdo_object::REFERENCE_COMPONENTS)?);
         }
-        let offered = read_components(session, object::OFFERED_REFERENCE_COMPONENTS).ok();
-        all.offered = offered.filter(|nm| !nm.contains(&object::NOT_AVAILABLE));
+        let offered = read_components(session, sdo_object::OFFERED_REFERENCE_COMPONENTS).ok();
+        all.offered = offered.filter(|nm| !nm.contains(&sdo_object::NOT_AVAILABLE));
         if all.in_force.is_none() && all.offered.is_none() {
             return Ok(all);
         }
-        let optional = |session: &mut Session, at| object::read_number(session, at).ok();
-        let origin = optional(session, object::REFERENCE_ORIGIN);
+        let optional = |session: &mut Session, at| sdo_object::read_number(session, at).ok();
+        let origin = optional(session, sdo_object::REFERENCE_ORIGIN);
         all.origin = origin.and_then(|number| {
             let [what, origin, ..] = number.to_le_bytes();
             let what = WriteKind::ALL.into_iter().find(|kind| *kind as u8 == what)?;
             Some((what, WriteOrigin::ALL.into_iter().find(|candidate| *candidate as u8 == origin)?))
         });
-        all.utc_s = optional(session, object::REFERENCE_UTC_SECONDS).filter(|utc_s| *utc_s != 0);
-        all.age_s = optional(session, object::REFERENCE_AGE_SECONDS)
+        all.utc_s =
+            optional(session, sdo_object::REFERENCE_UTC_SECONDS).filter(|utc_s| *utc_s != 0);
+        all.age_s = optional(session, sdo_object::REFERENCE_AGE_SECONDS)
             .filter(|age_s| *age_s != UNKNOWN_AGE_S);
         if let (None, Some(utc_s), Some(now_s)) = (all.age_s, all.utc_s, unix_time_s()) {
             all.age_s = Some(now_s.saturating_sub(utc_s));
@@ -119,7 +120,7 @@ impl BridgeReference {
 fn read_components(session: &mut Session, places: [ObjectAddress; 4]) -> Result<ReferenceNm> {
     let mut nm = [0; 4];
     for (place, at) in nm.iter_mut().zip(places) {
-        *place = object::read_number(session, at)?.cast_signed();
+        *place = sdo_object::read_number(session, at)?.cast_signed();
     }
     Ok(nm)
 }

@@ -14,8 +14,9 @@ use trueup_core::{
 use trueup_store::calibration::{calibration_crc, decode};
 
 use crate::{
-    load, object,
+    calibration_load,
     reference::{BridgeReference, ReferenceNm, format_reference},
+    sdo_object,
     session::Session,
     write_log,
 };
@@ -54,11 +55,12 @@ impl BoardIdentity {
     /// The line breaks, or the bridge does not answer.
     pub fn read(session: &mut Session) -> Result<Self> {
         // An empty name is refused.
-        let text = |session: &mut Session, at| object::read_text(session, at).unwrap_or_default();
+        let text =
+            |session: &mut Session, at| sdo_object::read_text(session, at).unwrap_or_default();
         Ok(Self {
-            machine: text(session, object::MACHINE_NAME),
-            serial: text(session, object::MACHINE_SERIAL),
-            board: format!("{:08x}", object::read_number(session, object::SERIAL_NUMBER)?),
+            machine: text(session, sdo_object::MACHINE_NAME),
+            serial: text(session, sdo_object::MACHINE_SERIAL),
+            board: format!("{:08x}", sdo_object::read_number(session, sdo_object::SERIAL_NUMBER)?),
         })
     }
 
@@ -102,8 +104,10 @@ impl SavedBoard {
     /// # Errors
     /// The line breaks, or the bridge has no valid calibration.
     pub fn read(session: &mut Session, progress: impl FnMut(usize, Option<u32>)) -> Result<Self> {
-        let text = |session: &mut Session, at| object::read_text(session, at).unwrap_or_default();
-        let Some(calibration) = load::read_running_calibration(session, progress)? else {
+        let text =
+            |session: &mut Session, at| sdo_object::read_text(session, at).unwrap_or_default();
+        let Some(calibration) = calibration_load::read_running_calibration(session, progress)?
+        else {
             bail!("the bridge has no valid calibration: there is nothing to save");
         };
         if let Err(rule) = decode(&calibration) {
@@ -112,10 +116,14 @@ impl SavedBoard {
             );
         }
         let crc = calibration_crc(&calibration);
-        let waiting = match object::read_number(session, object::PENDING_CRC)? {
+        let waiting = match sdo_object::read_number(session, sdo_object::PENDING_CRC)? {
             0 => None,
             it if it == crc => None,
-            _ => Some(encode_hex(&object::read(session, object::PENDING_CALIBRATION, |_, _| ())?)),
+            _ => Some(encode_hex(&sdo_object::read(
+                session,
+                sdo_object::PENDING_CALIBRATION,
+                |_, _| (),
+            )?)),
         };
         let reference = BridgeReference::read(session)?;
         let parts = reference.effective_value().map(|nm| {
@@ -125,15 +133,15 @@ impl SavedBoard {
                 .map(|(name, nm)| (name.to_owned(), json!(nm)))
                 .collect()
         });
-        let learned = object::LEARNED_VALUES
-            .map(|at| object::read_number(session, at).unwrap_or_default().cast_signed());
-        let log = object::read(session, object::WRITE_LOG, |_, _| ()).unwrap_or_default();
+        let learned = sdo_object::LEARNED_VALUES
+            .map(|at| sdo_object::read_number(session, at).unwrap_or_default().cast_signed());
+        let log = sdo_object::read(session, sdo_object::WRITE_LOG, |_, _| ()).unwrap_or_default();
         let owner = BoardIdentity::read(session)?;
         let mut all = json!({
             "format": BACKUP_FORMAT_NAME,
-            "device": text(session, object::DEVICE_NAME),
-            "hardware": text(session, object::HARDWARE_VERSION),
-            "software": text(session, object::SOFTWARE_VERSION),
+            "device": text(session, sdo_object::DEVICE_NAME),
+            "hardware": text(session, sdo_object::HARDWARE_VERSION),
+            "software": text(session, sdo_object::SOFTWARE_VERSION),
             "machine": owner.machine,
             "machine_serial": owner.serial,
             "board_serial": owner.board,

@@ -10,12 +10,12 @@ use trueup_core::cnc::Control;
 use trueup_link::{
     frame::Frame,
     frames,
-    slcan::{Client, Event, client, encode_line},
+    slcan::{AdapterMessage, SlcanClient, client, encode_line},
 };
 
 use crate::{
     duplex_stream::{DuplexStream, is_busy, is_timeout},
-    port::Port,
+    port::PortAddress,
     port_holder::port_holder,
 };
 
@@ -42,8 +42,8 @@ const INTER_COMMAND_DELAY: Duration = Duration::from_millis(30);
 pub struct Session {
     ends: DuplexStream,
     has_adapter: bool,
-    client: Client,
-    pending_events: VecDeque<Event>,
+    client: SlcanClient,
+    pending_events: VecDeque<AdapterMessage>,
     /// The tool's own `Control` where there is no CNC, its counter, and when it is due.
     service: Option<(Control, u8, Instant)>,
 }
@@ -53,24 +53,24 @@ impl Session {
     ///
     /// # Errors
     /// The port cannot be opened, or what is behind it is silent or refuses.
-    pub fn open(port: &Port) -> Result<Self> {
+    pub fn open(port: &PortAddress) -> Result<Self> {
         let ends = port.open().map_err(|error| match port {
-            Port::Tcp(address) => Error::from(error).context(format!(
+            PortAddress::Tcp(address) => Error::from(error).context(format!(
                 "no connection to tcp:{address}; is a bridge listening there (trueup virtual)?"
             )),
-            Port::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
+            PortAddress::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
                 "the serial device {device} is busy: {} talks to the bridge; end it first",
                 port_holder(port)
                     .unwrap_or_else(|| "another program (a monitor, LinuxCNC, slcand)".into())
             )),
-            Port::Serial(device) => {
+            PortAddress::Serial(device) => {
                 Error::from(error).context(format!("the serial device {device} cannot be opened"))
             }
             // It has reported it itself.
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
-            Port::Can(_) => error.into(),
+            PortAddress::Can(_) => error.into(),
         })?;
-        let mut session = Self::from_stream(ends, port.has_adapter());
+        let mut session = Self::from_stream(ends, port.uses_slcan());
         session.open_channel(OPEN_TIMEOUT).map_err(|error| match port_holder(port) {
             Some(other) => error.context(format!(
                 "the bridge serves one program at a time, and {other} has it: end it first"
@@ -94,7 +94,7 @@ impl Session {
         Self {
             ends,
             has_adapter,
-            client: Client::new(),
+            client: SlcanClient::new(),
             pending_events: VecDeque::new(),
             service: None,
         }
@@ -104,7 +104,7 @@ impl Session {
     ///
     /// # Errors
     /// Those of [`Self::open`], if they last for 10 s.
-    pub(crate) fn reopen(&mut self) -> Result<()> {
+    pub(crate) fn reopen_channel(&mut self) -> Result<()> {
         let deadline = Instant::now() + RESTART_TIMEOUT;
         loop {
             match self.open_channel(OPEN_ATTEMPT_TIMEOUT) {
@@ -139,11 +139,15 @@ impl Session {
                 start + (DRAIN_TIMEOUT + OPEN_ATTEMPT_TIMEOUT).min(timeout)
             };
             match self.next_event(look)? {
-                Some(Event::Accepted) => (answers, is_refused) = (answers + 1, false),
-                Some(Event::Refused) => (answers, is_refused) = (answers + 1, true),
-                Some(Event::Frame(_)) if start.elapsed() >= DRAIN_TIMEOUT => return Ok(()),
+                Some(AdapterMessage::Accepted) => (answers, is_refused) = (answers + 1, false),
+                Some(AdapterMessage::Rejected) => (answers, is_refused) = (answers + 1, true),
+                Some(AdapterMessage::Frame(_)) if start.elapsed() >= DRAIN_TIMEOUT => return Ok(()),
                 // What an earlier client was still being sent.
-                Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
+                Some(
+                    AdapterMessage::Frame(_)
+                    | AdapterMessage::Malformed(_)
+                    | AdapterMessage::Other(_),
+                ) => {}
                 None if !is_one_by_one && timeout > DRAIN_TIMEOUT => {
                     is_one_by_one = true;
                     if answers < OPEN_COMMAND_COUNT {
@@ -174,23 +178,23 @@ impl Session {
 
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
     /// that receives no CNC.
-    pub(crate) fn start_service(&mut self) {
-        self.start_control(Control { service: true, ..Control::default() });
+    pub(crate) fn start_sending_service_frames(&mut self) {
+        self.start_sending_control_frames(Control { service: true, ..Control::default() });
     }
 
     /// Sends this `Control` from now on, in the same way.
-    pub(crate) fn start_control(&mut self, control: Control) {
+    pub(crate) fn start_sending_control_frames(&mut self, control: Control) {
         self.service = Some((control, 0, Instant::now()));
     }
 
     /// Returns whether it does.
     #[must_use]
-    pub(crate) const fn is_sending_service(&self) -> bool {
+    pub(crate) const fn is_sending_service_frames(&self) -> bool {
         self.service.is_some()
     }
 
     /// Ends that.
-    pub(crate) fn stop_service(&mut self) {
+    pub(crate) fn stop_sending_service_frames(&mut self) {
         self.service = None;
     }
 
@@ -227,7 +231,7 @@ impl Session {
     ///
     /// # Errors
     /// The line is broken, or closed at its other end.
-    pub fn next_event(&mut self, deadline: Instant) -> Result<Option<Event>> {
+    pub fn next_event(&mut self, deadline: Instant) -> Result<Option<AdapterMessage>> {
         let mut bytes = [0; 4096];
         loop {
             // Looked at first, so that a flood of frames does not postpone what is due.
@@ -256,7 +260,7 @@ impl Session {
         if self.has_adapter && self.write(client::CLOSE_COMMAND).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;
             while let Ok(Some(event)) = self.next_event(deadline) {
-                if event == Event::Accepted {
+                if event == AdapterMessage::Accepted {
                     break;
                 }
             }
@@ -300,7 +304,10 @@ mod tests {
             let mut next = || session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
             // Where the end of a frame has passed for an answer, one answer is left over.
             let events = [next(), next()];
-            assert!(matches!(events, [Some(Event::Frame(_)), _] | [_, Some(Event::Frame(_))]));
+            assert!(matches!(
+                events,
+                [Some(AdapterMessage::Frame(_)), _] | [_, Some(AdapterMessage::Frame(_))]
+            ));
         }
     }
 
@@ -372,9 +379,9 @@ mod tests {
         let mut session = Session::from_stream((Box::new(reader), Box::new(ours)), false);
         session.open_channel(OPEN_TIMEOUT).expect("there is nothing to open");
         let received = session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
-        let Some(Event::Frame(frame)) = received else { panic!("{received:?}") };
+        let Some(AdapterMessage::Frame(frame)) = received else { panic!("{received:?}") };
         session.send(&frame).expect("the pipe takes it");
-        session.reopen().expect("there is nothing to open");
+        session.reopen_channel().expect("there is nothing to open");
         session.close();
         let mut sent = String::new();
         bridge.read_to_string(&mut sent).expect("the other end is closed");

@@ -12,7 +12,7 @@ use std::{
 use socketcan::{CanFrame, CanSocket, EmbeddedFrame as _, Id, Socket as _, StandardId};
 use trueup_link::{
     frame::Frame,
-    slcan::{Client, Event, encode_line},
+    slcan::{AdapterMessage, SlcanClient, encode_line},
 };
 
 use crate::duplex_stream::{DuplexStream, READ_TIMEOUT};
@@ -63,7 +63,7 @@ impl CanBus for CanSocket {
 }
 
 fn create_slcan_stream<B: CanBus>(bus: Arc<B>) -> DuplexStream {
-    let writer = SlcanWriter { bus: bus.clone(), lines: Client::new() };
+    let writer = SlcanWriter { bus: bus.clone(), lines: SlcanClient::new() };
     (Box::new(SlcanReader { bus, rest: Vec::new() }), Box::new(writer))
 }
 
@@ -89,13 +89,13 @@ impl<B: CanBus> Read for SlcanReader<B> {
 /// Sends the frames of the lines that go in; other lines have no receiver.
 struct SlcanWriter<B> {
     bus: Arc<B>,
-    lines: Client,
+    lines: SlcanClient,
 }
 
 impl<B: CanBus> Write for SlcanWriter<B> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         for &byte in bytes {
-            if let Some(Event::Frame(frame)) = self.lines.receive(byte) {
+            if let Some(AdapterMessage::Frame(frame)) = self.lines.receive(byte) {
                 self.bus.send(&frame)?;
             }
         }

@@ -8,7 +8,7 @@ use trueup_core::{
 };
 use trueup_link::{frames::NmtState, status::StateBits};
 
-use crate::operator_questions::open_questions;
+use crate::operator_questions::unanswered_questions;
 
 /// Returns a quality in a word.
 #[must_use]
@@ -38,7 +38,7 @@ pub fn pending_action(
     if quality != OffsetQuality::Fault || is_dead {
         return None;
     }
-    if open_questions(state).iter().any(|(word, _)| *word != "heat-unknown") {
+    if unanswered_questions(state).iter().any(|(word, _)| *word != "heat-unknown") {
         return Some("confirm");
     }
     state.contains(StateBits::RESTARTED).then_some("engage")
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(fault_names(Faults::from_words(u32::MAX, u32::MAX)).len(), Fault::ALL.len());
         assert_eq!(flag_names(OffsetFlags::NONE), [""; 0]);
         assert_eq!(
-            flag_names(OffsetFlags::SLEWING.with(OffsetFlags::CNC_LOST)),
+            flag_names(OffsetFlags::SLEWING.union(OffsetFlags::CNC_LOST)),
             ["slewing", "cnc-lost"]
         );
     }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use trueup_canopen::emergency::Faults;
-use trueup_core::{dimensions::CHANNEL_COUNT, units::Nanometres};
+use trueup_core::{design_parameters::TEMPERATURE_CHANNEL_COUNT, units::Nanometres};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
@@ -17,7 +17,7 @@ use crate::state_text::{fault_names, state_names, to_micrometres};
 pub struct BoardStatus {
     receiver: StatusReceiver,
     /// In 0.01 °C, by channel.
-    pub centi_c: [Option<i16>; CHANNEL_COUNT],
+    pub centi_c: [Option<i16>; TEMPERATURE_CHANNEL_COUNT],
     /// Of the spindle, by its sensor.
     pub elongation: Option<Nanometres>,
     last_refused: FrameRejectReason,

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use trueup_store::write_log::{RECORD_SIZE, WriteKind, WriteRecord};
 
-/// Returns the writes of [`WRITE_LOG`](crate::object::WRITE_LOG), the oldest first; those of another version are omitted.
+/// Returns the writes of [`WRITE_LOG`](crate::sdo_object::WRITE_LOG), the oldest first; those of another version are omitted.
 #[must_use]
 pub fn decode_write_records(bytes: &[u8]) -> Vec<WriteRecord> {
     bytes.as_chunks::<RECORD_SIZE>().0.iter().filter_map(WriteRecord::from_bytes).collect()

@@ -10,20 +10,20 @@ use std::borrow::Cow;
 use trueup_machine::{
     Machine,
     effect::{BoardTerm, Effect, Input, PredictionStage},
-    file::{BSpline, Backlash, LinearAxis, PitchErrorTable, Squareness, Term},
+    machine_file::{BSpline, Backlash, LinearAxis, PitchErrorTable, Squareness, Term},
     model::{backlash_um, pitch_error_um, spline_value_um, squareness_error_um},
 };
 
-use crate::{ExportFormat, ExportOptions, report::Approach};
+use crate::{ExportFormat, ExportOptions, report::ApproachDirection};
 
 /// A period of a periodic error is looked at in this many parts.
 const SAMPLES_PER_PERIOD: f64 = 32.0;
 /// And a travel in at most this many.
-const MAX_SAMPLES: f64 = 20_000.0;
+const MAX_TRAVEL_SAMPLES: f64 = 20_000.0;
 
 /// The errors that one drive corrects along its axis.
 #[derive(Clone)]
-pub(crate) struct DriveError<'m> {
+pub(crate) struct DriveErrorModel<'m> {
     pub axis: LinearAxis,
     /// Whether it is the second one of the axis.
     pub is_second: bool,
@@ -35,7 +35,7 @@ pub(crate) struct DriveError<'m> {
     travel_mm: Option<(f64, f64)>,
 }
 
-impl DriveError<'_> {
+impl DriveErrorModel<'_> {
     /// `x`, or `x2` for the second drive of X.
     pub fn name(&self) -> String {
         format!("{}{}", self.axis.name(), if self.is_second { "2" } else { "" })
@@ -55,7 +55,7 @@ impl DriveError<'_> {
     }
 
     /// Its error in µm.
-    pub fn error_um(&self, position_mm: f64, approach: Approach) -> f64 {
+    pub fn error_um(&self, position_mm: f64, approach: ApproachDirection) -> f64 {
         let direction = approach.sign();
         let terms = self.terms.iter().map(|(_, term)| {
             own_axis_effect_um(&term.effect, position_mm, approach) + term.constant_um
@@ -80,7 +80,7 @@ impl DriveError<'_> {
         let terms = self.terms.iter().map(|(_, term)| {
             let is_constant = term.effect.required_inputs() == [Input::OwnDirection];
             if is_constant {
-                own_axis_effect_um(&term.effect, 0.0, Approach::Negative)
+                own_axis_effect_um(&term.effect, 0.0, ApproachDirection::Negative)
             } else {
                 0.0
             }
@@ -95,11 +95,10 @@ impl DriveError<'_> {
 
     /// Returns whether the error is the same at every position and in both directions.
     pub(crate) fn is_constant(&self) -> bool {
-        let first = self.error_um(0.0, Approach::Positive);
-        self.breakpoints_mm()
-            .iter()
-            .all(|&mm| Approach::BOTH.iter().all(|&approach| self.error_um(mm, approach) == first))
-            && self.backlash_um() == 0.0
+        let first = self.error_um(0.0, ApproachDirection::Positive);
+        self.breakpoints_mm().iter().all(|&mm| {
+            ApproachDirection::BOTH.iter().all(|&approach| self.error_um(mm, approach) == first)
+        }) && self.backlash_um() == 0.0
     }
 
     /// Its one table, where all of it is linear between that table's points.
@@ -139,7 +138,7 @@ impl DriveError<'_> {
                         _ => None,
                     });
                 let Some(parts) = of_waves.reduce(f64::max) else { continue };
-                let parts = parts.ceil().clamp(1.0, MAX_SAMPLES);
+                let parts = parts.ceil().clamp(1.0, MAX_TRAVEL_SAMPLES);
                 let at = |part: u32| first + (last - first) * f64::from(part) / parts;
                 points.extend((0..=parts as u32).map(at));
             }
@@ -161,7 +160,7 @@ fn term_name(index: usize, term: &Term) -> String {
 }
 
 /// Returns what a term adds along its own axis, in µm.
-fn own_axis_effect_um(effect: &Effect, position_mm: f64, approach: Approach) -> f64 {
+fn own_axis_effect_um(effect: &Effect, position_mm: f64, approach: ApproachDirection) -> f64 {
     let read = |input: &Input<'_>| match input {
         Input::OwnPosition => position_mm,
         Input::OwnDirection => approach.sign(),
@@ -195,7 +194,7 @@ pub(crate) fn unsupported_terms(
             format!("it depends on {column}, which no table of a control knows; the bridge does")
         });
         let reason = match &term.effect {
-            effect if !effect.is_compensated() => continue,
+            effect if !effect.is_compensable() => continue,
             // Folded into the constants of the machine.
             effect if effect.stage() == PredictionStage::Constant => continue,
             effect if is_cross_axis(effect) && axis.is_some() => continue,
@@ -335,7 +334,7 @@ impl<'m> CrossAxisError<'m> {
 
     /// Its curves and its angle one by one, for a control that adds tables up: an angle is two
     /// points then, and a curve ends where its knots end.
-    pub(crate) fn separate_terms(&self) -> Vec<CrossAxisError<'m>> {
+    pub(crate) fn split_into_terms(&self) -> Vec<CrossAxisError<'m>> {
         let empty = || Self::new(self.error, self.along);
         let splines =
             self.splines.iter().map(|spline| Self { splines: vec![spline.clone()], ..empty() });
@@ -353,7 +352,7 @@ impl<'m> CrossAxisError<'m> {
 pub(crate) fn collect_drive_errors<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
-) -> Vec<DriveError<'m>> {
+) -> Vec<DriveErrorModel<'m>> {
     let mut drives = Vec::new();
     for axis in LinearAxis::ALL {
         let of = &machine.axes[axis.index()];
@@ -365,7 +364,7 @@ pub(crate) fn collect_drive_errors<'m>(
         });
         let terms: Vec<(usize, &Term)> = terms.collect();
         let goes_on = terms.iter().any(|(_, term)| needs_travel(&term.effect));
-        let first = DriveError {
+        let first = DriveErrorModel {
             axis,
             is_second: false,
             pitch: of.pitch.as_ref(),
@@ -373,7 +372,7 @@ pub(crate) fn collect_drive_errors<'m>(
             terms,
             travel_mm: travel.filter(|_| goes_on),
         };
-        let second = of.dual.as_ref().map(|dual| DriveError {
+        let second = of.dual.as_ref().map(|dual| DriveErrorModel {
             is_second: true,
             pitch: Some(&dual.pitch),
             ..first.clone()
@@ -391,11 +390,15 @@ pub(crate) fn collect_cross_axis_errors(machine: &Machine) -> Vec<CrossAxisError
     let mut cross_axis_errors: Vec<CrossAxisError<'_>> = Vec::new();
     for curve in &machine.straightness {
         let named = (format!("straightness.{}", curve.name()), Cow::Borrowed(&curve.spline));
-        find_or_insert_pair(&mut cross_axis_errors, curve.error, curve.along).splines.push(named);
+        find_or_insert_axis_pair(&mut cross_axis_errors, curve.error, curve.along)
+            .splines
+            .push(named);
     }
     for angle in machine.squareness.iter().filter(|angle| angle.um_per_m != 0.0) {
         let named = (format!("squareness.{}", angle.name()), angle.um_per_m);
-        find_or_insert_pair(&mut cross_axis_errors, angle.error, angle.along).angles.push(named);
+        find_or_insert_axis_pair(&mut cross_axis_errors, angle.error, angle.along)
+            .angles
+            .push(named);
     }
     for (index, term) in machine.terms.iter().enumerate() {
         let Some(error) = term.quantity.axis() else { continue };
@@ -403,12 +406,12 @@ pub(crate) fn collect_cross_axis_errors(machine: &Machine) -> Vec<CrossAxisError
         for form in term.effect.board_terms() {
             match form {
                 BoardTerm::Curve(along, spline) => {
-                    let pair = find_or_insert_pair(&mut cross_axis_errors, error, along);
+                    let pair = find_or_insert_axis_pair(&mut cross_axis_errors, error, along);
                     pair.splines.push((name.clone(), Cow::Owned(spline)));
                     pair.constant_um += term.constant_um;
                 }
                 BoardTerm::Position { axis, um_per_m } => {
-                    let pair = find_or_insert_pair(&mut cross_axis_errors, error, axis);
+                    let pair = find_or_insert_axis_pair(&mut cross_axis_errors, error, axis);
                     pair.angles.push((name.clone(), um_per_m));
                     pair.constant_um += term.constant_um;
                 }
@@ -420,7 +423,7 @@ pub(crate) fn collect_cross_axis_errors(machine: &Machine) -> Vec<CrossAxisError
 }
 
 /// Returns the pair in the list, put there if it is not.
-fn find_or_insert_pair<'c, 'm>(
+fn find_or_insert_axis_pair<'c, 'm>(
     cross_axis_errors: &'c mut Vec<CrossAxisError<'m>>,
     error: LinearAxis,
     along: LinearAxis,

@@ -39,23 +39,23 @@ mod straightness;
 
 use std::fmt::Write as _;
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 
 pub use read_back::{AxisTables, CompensationData};
 pub use series0::parse_series_0_sheet;
 
 use crate::{
-    Export, ExportOptions, ExportedFile, ExportedTable,
-    axis_errors::{CrossAxisError, DriveError, collect_drive_errors},
-    grid::{comparison_positions_mm, find_largest_residual},
+    ExportOptions, ExportResult, ExportedFile, ExportedTable,
+    axis_errors::{CrossAxisError, DriveErrorModel, collect_drive_errors},
     linuxcnc::omit_thermal_terms,
     number_format::format_number,
-    report::Approach,
+    report::ApproachDirection,
+    table_points::{comparison_positions_mm, find_largest_residual},
 };
 
 /// Which FANUC: the numbers of its parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Series {
+pub enum FanucSeries {
     /// 0i, 16i, 18i, 30i and their kin: parameters from 3620.
     #[default]
     I,
@@ -113,7 +113,7 @@ impl CompensationPoints {
 struct AxisCompensation<'m> {
     axis: LinearAxis,
     is_second: bool,
-    drive: Option<DriveError<'m>>,
+    drive: Option<DriveErrorModel<'m>>,
     cross_axis_errors: Vec<CrossAxisError<'m>>,
     points: CompensationPoints,
     magnification: u8,
@@ -125,10 +125,10 @@ struct AxisCompensation<'m> {
     was_thinned: bool,
 }
 
-pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let chosen = match options.fanuc {
-        Series::I => straightness::select_pairs(machine, options, &mut export.report),
-        Series::Zero => series0::omit_straightness(machine, &mut export.report),
+        FanucSeries::I => straightness::select_pairs(machine, options, &mut export.report),
+        FanucSeries::Zero => series0::omit_straightness(machine, &mut export.report),
     };
     let all_drives = collect_drive_errors(machine, options);
     for drive in all_drives.iter().filter(|drive| drive.is_constant()) {
@@ -143,7 +143,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
                 .iter()
                 .find(|drive| drive.axis == axis && drive.is_second == is_second)
                 .filter(|drive| !drive.is_constant());
-            if options.fanuc == Series::Zero
+            if options.fanuc == FanucSeries::Zero
                 && let Some(drive) = drive
                 && let Some(reason) = series0::unsupported_reason(drive)
             {
@@ -156,7 +156,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
                 continue;
             }
             let mut sections: Vec<String> =
-                drive.map(DriveError::source_sections).into_iter().collect();
+                drive.map(DriveErrorModel::source_sections).into_iter().collect();
             sections.extend(along.iter().map(CrossAxisError::source_sections));
             match plan_axis(machine, options, (axis, is_second), drive.cloned(), along) {
                 Ok(plan) => planned.push(plan),
@@ -166,8 +166,8 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     }
     match options.fanuc {
         _ if planned.is_empty() => {}
-        Series::I => write_files(&planned, options, export),
-        Series::Zero => series0::write_sheet(planned, options, export),
+        FanucSeries::I => write_files(&planned, options, export),
+        FanucSeries::Zero => series0::write_sheet(planned, options, export),
     }
     let reason = "the growth is given to the control by its PMC at run time, not by a table. It \
         is one scalar along the tool, in small steps; a jump of 9999 units is an alarm";
@@ -178,7 +178,7 @@ fn plan_axis<'m>(
     machine: &Machine,
     options: &ExportOptions,
     (axis, is_second): (LinearAxis, bool),
-    drive: Option<DriveError<'m>>,
+    drive: Option<DriveErrorModel<'m>>,
     cross_axis_errors: Vec<CrossAxisError<'m>>,
 ) -> Result<AxisCompensation<'m>, String> {
     let reference_mm = options.reference_mm[axis.index()];
@@ -191,7 +191,7 @@ fn plan_axis<'m>(
     // Only a backlash: the sections are empty.
     let (first_mm, last_mm) = range.unwrap_or((reference_mm, reference_mm + 100.0));
     let range_mm = (first_mm.min(reference_mm), last_mm.max(reference_mm));
-    let is_bidirectional = drive.as_ref().is_some_and(DriveError::is_bidirectional);
+    let is_bidirectional = drive.as_ref().is_some_and(DriveErrorModel::is_bidirectional);
     let fits = |points: &CompensationPoints| {
         points.section_count() * if is_bidirectional { 2 } else { 1 } < MAX_POINTS_PER_AXIS
             && (cross_axis_errors.is_empty() || points.section_count() >= 3)
@@ -212,8 +212,9 @@ fn plan_axis<'m>(
     let was_thinned = finer.is_empty();
     let candidates = if was_thinned { coarser().into_iter().collect() } else { finer };
 
-    let constant_um =
-        drive.as_ref().map_or(0.0, |drive| drive.error_um(reference_mm, Approach::Positive));
+    let constant_um = drive
+        .as_ref()
+        .map_or(0.0, |drive| drive.error_um(reference_mm, ApproachDirection::Positive));
     for &points in &candidates {
         for magnification in MAGNIFICATIONS {
             let mut planned = AxisCompensation {
@@ -251,13 +252,16 @@ impl AxisCompensation<'_> {
         let correction = |mm: f64, approach| {
             -(drive.error_um(mm, approach) - self.constant_um) / options.unit_um
         };
-        let ways =
-            if drive.is_bidirectional() { &Approach::BOTH[..] } else { &Approach::BOTH[..1] };
+        let ways = if drive.is_bidirectional() {
+            &ApproachDirection::BOTH[..]
+        } else {
+            &ApproachDirection::BOTH[..1]
+        };
         let mut tables = Vec::new();
         for &way in ways {
             // The backlash of one table is a parameter of its own.
             let start = correction(self.points.reference_mm, way).round();
-            if way == Approach::Negative {
+            if way == ApproachDirection::Negative {
                 self.at_reference = start as i64;
             }
             let sums: Vec<i64> = self
@@ -273,7 +277,11 @@ impl AxisCompensation<'_> {
     }
 }
 
-fn write_files(planned: &[AxisCompensation<'_>], options: &ExportOptions, export: &mut Export) {
+fn write_files(
+    planned: &[AxisCompensation<'_>],
+    options: &ExportOptions,
+    export: &mut ExportResult,
+) {
     // Parameter number → axis number → value.
     let mut parameters: Vec<(u32, usize, i64)> = Vec::new();
     let mut pitch = String::from("%\n");
@@ -320,7 +328,7 @@ fn write_files(planned: &[AxisCompensation<'_>], options: &ExportOptions, export
             for plan in planned {
                 compare(plan, number_of(plan), &control, options, export);
             }
-            straightness::compare_pairs(&pairs, &control, options, export);
+            straightness::compare_axis_pairs(&pairs, &control, options, export);
         }
         Err(rule) => {
             export.report.add_omitted_section("all", format!("it reads back wrong: {rule}"))
@@ -373,7 +381,7 @@ fn compare(
     axis: usize,
     control: &CompensationData,
     options: &ExportOptions,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let Some(drive) = &plan.drive else { return };
     match control.axis_tables(axis) {
@@ -389,11 +397,11 @@ fn compare(
 
 fn compare_axis(
     plan: &AxisCompensation<'_>,
-    drive: &DriveError<'_>,
+    drive: &DriveErrorModel<'_>,
     back: &AxisTables,
     (axis, file): (usize, &str),
     options: &ExportOptions,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let CompensationPoints { reference_mm, spacing_mm, .. } = plan.points;
     let positions_mm = plan.points.positions_mm();

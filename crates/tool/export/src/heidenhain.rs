@@ -18,21 +18,23 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use crate::{
-    Export, ExportOptions, ExportedFile, ExportedTable,
-    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
-    grid::{
-        comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
+    ExportOptions, ExportResult, ExportedFile, ExportedTable,
+    axis_errors::{
+        CrossAxisError, DriveErrorModel, collect_cross_axis_errors, collect_drive_errors,
     },
     linuxcnc::omit_thermal_terms,
     number_format::format_signed,
-    report::{Approach, LargestDifference},
+    report::{ApproachDirection, LargestDifference},
+    table_points::{
+        comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
+    },
 };
 
 /// The most entries of a table.
-pub(crate) const MAX_ENTRIES: usize = 256;
+pub(crate) const MAX_TABLE_ENTRIES: usize = 256;
 /// Values to 0.1 µm.
 const VALUE_DECIMALS: usize = 4;
 /// Positions to 0.1 µm.
@@ -86,8 +88,8 @@ pub fn parse(text: &str) -> Result<CompensationTable, String> {
         }
         entries += 1;
     }
-    if entries as usize > MAX_ENTRIES {
-        return Err(format!("more than {MAX_ENTRIES} entries"));
+    if entries as usize > MAX_TABLE_ENTRIES {
+        return Err(format!("more than {MAX_TABLE_ENTRIES} entries"));
     }
     Ok(CompensationTable { columns, curves })
 }
@@ -105,11 +107,11 @@ impl CompensationTable {
 struct MovingAxis<'m> {
     /// `X`, or `X2` for a second drive.
     key: String,
-    drive: Option<DriveError<'m>>,
+    drive: Option<DriveErrorModel<'m>>,
     cross_axis_errors: Vec<CrossAxisError<'m>>,
 }
 
-pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let mut moving: Vec<MovingAxis<'_>> = Vec::new();
     let all_drives = collect_drive_errors(machine, options);
     for axis in LinearAxis::ALL {
@@ -118,7 +120,8 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
                 .iter()
                 .find(|drive| drive.axis == axis && drive.is_second == is_second)
                 .filter(|drive| {
-                    !(drive.is_constant() && drive.error_um(0.0, Approach::Positive) == 0.0)
+                    !(drive.is_constant()
+                        && drive.error_um(0.0, ApproachDirection::Positive) == 0.0)
                 });
             let mut along: Vec<CrossAxisError<'_>> = Vec::new();
             for cross in collect_cross_axis_errors(machine).into_iter().filter(|_| !is_second) {
@@ -173,7 +176,7 @@ fn export_moving_axis(
     machine: &Machine,
     options: &ExportOptions,
     of: &MovingAxis<'_>,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let positions_mm = candidate_positions_mm(machine, options, of);
     // The axis itself in both directions, then the others.
@@ -183,16 +186,16 @@ fn export_moving_axis(
         |error_um: &dyn Fn(f64) -> f64| positions_mm.iter().map(|&mm| error_um(mm)).collect();
     if let Some(drive) = own {
         let of_drive = |approach| column(&|mm| drive.error_um(mm, approach));
-        columns.push(("BACKLASH".to_string(), of_drive(Approach::Negative)));
-        columns.push((of.key.clone(), of_drive(Approach::Positive)));
+        columns.push(("BACKLASH".to_string(), of_drive(ApproachDirection::Negative)));
+        columns.push((of.key.clone(), of_drive(ApproachDirection::Positive)));
     }
     for cross in &of.cross_axis_errors {
         let name = cross.error.name().to_uppercase();
         columns.push((name, column(&|mm| cross.error_um(mm))));
     }
     let (names, values): (Vec<String>, Vec<Vec<f64>>) = columns.into_iter().unzip();
-    let most = options.most_points.unwrap_or(MAX_ENTRIES).clamp(2, MAX_ENTRIES);
-    let is_curved = own.is_some_and(DriveError::is_curved)
+    let most = options.most_points.unwrap_or(MAX_TABLE_ENTRIES).clamp(2, MAX_TABLE_ENTRIES);
+    let is_curved = own.is_some_and(DriveErrorModel::is_curved)
         || of.cross_axis_errors.iter().any(CrossAxisError::is_curved);
     let keeps_all = !is_curved && positions_mm.len() <= most;
     let (rows, off_um) = if keeps_all {
@@ -217,7 +220,7 @@ fn export_moving_axis(
     }
     text.push_str("[END]\n");
 
-    let sections = own.map(DriveError::source_sections).into_iter();
+    let sections = own.map(DriveErrorModel::source_sections).into_iter();
     let sections: Vec<String> =
         sections.chain(of.cross_axis_errors.iter().map(CrossAxisError::source_sections)).collect();
     let back = match parse(&text) {
@@ -233,7 +236,7 @@ fn export_moving_axis(
     let mut largest = LargestDifference::NONE;
     if let Some(drive) = own {
         let read_back = |mm, approach| {
-            let column = if approach == Approach::Negative { "BACKLASH" } else { &of.key };
+            let column = if approach == ApproachDirection::Negative { "BACKLASH" } else { &of.key };
             back.correction_um(column, mm)
         };
         let probes =
@@ -272,7 +275,7 @@ fn candidate_positions_mm(
     options: &ExportOptions,
     of: &MovingAxis<'_>,
 ) -> Vec<f64> {
-    let mut positions_mm = of.drive.as_ref().map_or_else(Vec::new, DriveError::breakpoints_mm);
+    let mut positions_mm = of.drive.as_ref().map_or_else(Vec::new, DriveErrorModel::breakpoints_mm);
     for cross in &of.cross_axis_errors {
         let Some((first, last)) = cross.range_mm(machine, options) else { continue };
         let mut ends_mm = cross.knot_positions_mm();

@@ -18,26 +18,26 @@ use std::fmt::Write as _;
 
 use trueup_machine::{
     Machine,
-    file::{AngleProfile, AxisChain, LinearAxis, RotaryAxis},
+    machine_file::{AngleProfile, AxisChain, LinearAxis, RotaryAxis},
     model::spline_value_um,
 };
 
 use crate::{
-    Export, ExportOptions, ExportedFile, ExportedTable,
+    ExportOptions, ExportResult, ExportedFile, ExportedTable,
     axis_errors::{
-        CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors, travel_mm,
+        CrossAxisError, DriveErrorModel, collect_cross_axis_errors, collect_drive_errors, travel_mm,
     },
-    grid::{interpolate_linear, select_breakpoints},
     linuxcnc::omit_thermal_terms,
     number_format::format_number,
-    report::{Approach, LargestDifference},
+    report::{ApproachDirection, LargestDifference},
+    table_points::{interpolate_linear, select_breakpoints},
 };
 
 /// The names of the two files.
 const CSV_FILE_NAME: &str = "volcomp.csv";
 const LIST_FILE_NAME: &str = "volcomp.lis";
 /// The most rows of an axis; how many the control reads is a setting of its own (`max_records`).
-const MAX_ROWS: usize = 2_000;
+const MAX_AXIS_ROWS: usize = 2_000;
 /// The lines between the rows are kept this near, in µm, angles at a lever of 1 m.
 const THINNING_TOLERANCE_UM: f64 = 0.02;
 /// A travel is looked at in this many equal parts before its best points are chosen.
@@ -117,7 +117,7 @@ impl CompensationFile {
 struct ComponentErrors<'m> {
     axis: LinearAxis,
     machine: &'m Machine,
-    drive: Option<&'m DriveError<'m>>,
+    drive: Option<&'m DriveErrorModel<'m>>,
     cross_axis_errors: Vec<&'m CrossAxisError<'m>>,
 }
 
@@ -127,7 +127,11 @@ impl ComponentErrors<'_> {
         let mut um = [0.0; 3];
         // The format has no direction: the mean of both.
         um[self.axis.index()] += self.drive.map_or(0.0, |drive| {
-            Approach::BOTH.iter().map(|approach| drive.error_um(mm, *approach)).sum::<f64>() / 2.0
+            ApproachDirection::BOTH
+                .iter()
+                .map(|approach| drive.error_um(mm, *approach))
+                .sum::<f64>()
+                / 2.0
         });
         for cross in &self.cross_axis_errors {
             um[cross.error.index()] += cross.error_um(mm);
@@ -148,7 +152,7 @@ impl ComponentErrors<'_> {
     /// Returns the sections of the machine file that it comes from.
     fn source_sections(&self) -> String {
         let angles = self.machine.volume.angular.iter().filter(|error| error.along == self.axis);
-        let drive = self.drive.map(DriveError::source_sections);
+        let drive = self.drive.map(DriveErrorModel::source_sections);
         let cross_axis_errors = self.cross_axis_errors.iter().map(|error| error.source_sections());
         let angles = angles.map(|motion| format!("angular.{}", motion.name()));
         drive.into_iter().chain(cross_axis_errors).chain(angles).collect::<Vec<_>>().join(" + ")
@@ -172,7 +176,7 @@ impl ComponentErrors<'_> {
     }
 }
 
-pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let Some(chain) = &machine.volume.chain else {
         let reason = "TwinCAT needs the chain of the axes: write chain = \"w X' b Y Z t\" with yours into [machine]";
         export.report.add_omitted_section("machine", reason);
@@ -205,7 +209,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
             );
             continue;
         };
-        omit_direction_terms(&component, export);
+        omit_direction_dependent_terms(&component, export);
         blocks += 1;
         add_error_table(&component, &section, range, &mut text, export);
     }
@@ -215,7 +219,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
             "the kernel gives a slave axis the values of its master",
         );
     }
-    let lines = add_rotary_axis_lines(machine, chain, &mut text, export);
+    let lines = add_tool_tip_and_rotary_axis_lines(machine, chain, &mut text, export);
     omit_thermal_terms(
         machine,
         &mut export.report,
@@ -257,7 +261,7 @@ fn axis_travel_mm(
     known.or_else(|| reached.reduce(|(a, b), (c, d)| (a.min(c), b.max(d))))
 }
 
-fn omit_direction_terms(component: &ComponentErrors<'_>, export: &mut Export) {
+fn omit_direction_dependent_terms(component: &ComponentErrors<'_>, export: &mut ExportResult) {
     let Some(drive) = component.drive else { return };
     if drive.is_bidirectional() || drive.backlash_um() != 0.0 {
         let what = format!("the direction of {}", drive.source_sections());
@@ -273,13 +277,14 @@ fn add_error_table(
     section: &str,
     range: (f64, f64),
     text: &mut String,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let places = component.candidate_positions_mm(range);
     let values: Vec<[f64; 6]> = places.iter().map(|mm| component.evaluate(*mm)).collect();
     let columns: Vec<Vec<f64>> =
         (0..6).map(|n| values.iter().map(|row| row[n]).collect()).collect();
-    let (rows, off_um) = select_breakpoints(&places, &columns, THINNING_TOLERANCE_UM, MAX_ROWS);
+    let (rows, off_um) =
+        select_breakpoints(&places, &columns, THINNING_TOLERANCE_UM, MAX_AXIS_ROWS);
     let axis = component.axis.name().to_uppercase();
     let names: Vec<String> =
         ["X", "Y", "Z", "A", "B", "C"].iter().map(|along| format!("E{along}{axis}")).collect();
@@ -315,16 +320,17 @@ fn add_error_table(
         spacing: None,
         constant_um: 0.0,
         largest,
-        loss: (rows.len() == MAX_ROWS).then(|| format!("{MAX_ROWS} rows leave {off_um:.3} µm")),
+        loss: (rows.len() == MAX_AXIS_ROWS)
+            .then(|| format!("{MAX_AXIS_ROWS} rows leave {off_um:.3} µm")),
     });
 }
 
 /// Writes the tool tip and the lines of the rotary axes. Returns how many of these are off.
-fn add_rotary_axis_lines(
+fn add_tool_tip_and_rotary_axis_lines(
     machine: &Machine,
     chain: &AxisChain,
     text: &mut String,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) -> usize {
     let tip = machine.volume.tool.tip_offset_mm(machine.tool_direction);
     let mut entries: Vec<(String, String)> = Vec::new();

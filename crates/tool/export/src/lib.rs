@@ -27,20 +27,22 @@
 
 mod axis_errors;
 pub mod fanuc;
-mod grid;
 pub mod heidenhain;
 pub mod isg;
 pub mod linuxcnc;
 mod number_format;
 pub mod report;
 pub mod siemens;
+mod table_points;
 
 use std::{borrow::Cow, collections::BTreeMap};
 
 use thiserror::Error;
 use trueup_machine::{Machine, model::apply_constant_terms};
 
-pub use report::{Approach, ExportReport, ExportedTable, LargestDifference, OmittedSection};
+pub use report::{
+    ApproachDirection, ExportReport, ExportedTable, LargestDifference, OmittedSection,
+};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,7 +123,7 @@ pub struct ExportOptions {
     /// FANUC's detection unit, in µm; above 0.
     pub unit_um: f64,
     /// Which FANUC.
-    pub fanuc: fanuc::Series,
+    pub fanuc: fanuc::FanucSeries,
     /// Temperatures in °C, by column, at which the Siemens setting data are written; a column that
     /// is missing is at its reference, where the axis has no thermal error.
     pub temperatures_c: BTreeMap<String, f64>,
@@ -138,7 +140,7 @@ impl Default for ExportOptions {
             tolerance_um: 0.1,
             most_points: None,
             unit_um: 1.0,
-            fanuc: fanuc::Series::default(),
+            fanuc: fanuc::FanucSeries::default(),
             temperatures_c: BTreeMap::new(),
             elongation_um: 0.0,
         }
@@ -156,7 +158,7 @@ pub struct ExportedFile {
 
 /// Files of an export, and its report.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Export {
+pub struct ExportResult {
     /// The files for the control, in the order in which they are loaded.
     pub files: Vec<ExportedFile>,
     /// The report on their content, and how well it fits the model.
@@ -194,15 +196,17 @@ pub fn export(
     machine: &Machine,
     format: ExportFormat,
     options: &ExportOptions,
-) -> Result<Export, ExportError> {
+) -> Result<ExportResult, ExportError> {
     // Some terms of a diagnosis say which constants of the model are right.
     let (machine, _) = apply_constant_terms(Cow::Borrowed(machine));
     let mut machine = machine.into_owned();
     // A table of a control goes by position and direction, not by feed.
     machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed());
     let machine = &machine;
-    let mut export =
-        Export { files: Vec::new(), report: ExportReport::new(format, &machine.name, options) };
+    let mut export = ExportResult {
+        files: Vec::new(),
+        report: ExportReport::new(format, &machine.name, options),
+    };
     let mut omitted = axis_errors::unsupported_terms(machine, options);
     if format != ExportFormat::Isg {
         omitted.extend(axis_errors::unsupported_volume_terms(machine, format));

@@ -16,22 +16,22 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use crate::{
-    Export, ExportOptions, ExportReport, ExportedFile, ExportedTable,
-    axis_errors::{DriveError, collect_cross_axis_errors, collect_drive_errors},
-    grid::{
+    ExportOptions, ExportReport, ExportResult, ExportedFile, ExportedTable,
+    axis_errors::{DriveErrorModel, collect_cross_axis_errors, collect_drive_errors},
+    number_format::format_number,
+    report::ApproachDirection,
+    table_points::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
     },
-    number_format::format_number,
-    report::Approach,
 };
 
 /// The most lines that the motion controller stores for a joint.
-pub const MAX_LINES: usize = 256;
+pub const MAX_COMPENSATION_ENTRIES: usize = 256;
 /// Trims and positions are written to this many decimals: 0.01 nm in a metric machine.
-const DECIMALS: usize = 8;
+const COMPENSATION_DECIMALS: usize = 8;
 
 /// A compensation file as the motion controller holds it.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +46,7 @@ pub struct CompensationTable {
 ///
 /// # Errors
 /// A line that is not three numbers, a nominal position that does not rise, or more than
-/// [`MAX_LINES`]: the loader would stop there, and the machine would cut with half a table.
+/// [`MAX_COMPENSATION_ENTRIES`]: the loader would stop there, and the machine would cut with half a table.
 pub fn parse(text: &str) -> Result<CompensationTable, String> {
     let mut read = CompensationTable { forward: Vec::new(), reverse: Vec::new() };
     for (index, line) in text.lines().enumerate() {
@@ -59,8 +59,8 @@ pub fn parse(text: &str) -> Result<CompensationTable, String> {
         if read.forward.last().is_some_and(|&(before, _)| nominal <= before) {
             return Err(format!("line {line_number}: {nominal} does not rise"));
         }
-        if index == MAX_LINES {
-            return Err(format!("more than {MAX_LINES} lines"));
+        if index == MAX_COMPENSATION_ENTRIES {
+            return Err(format!("more than {MAX_COMPENSATION_ENTRIES} lines"));
         }
         read.forward.push((nominal, forward));
         read.reverse.push((nominal, reverse));
@@ -71,15 +71,15 @@ pub fn parse(text: &str) -> Result<CompensationTable, String> {
 impl CompensationTable {
     /// Returns what is added to the joint's command, in machine units.
     #[must_use]
-    pub fn trim_at(&self, position: f64, approach: Approach) -> f64 {
+    pub fn trim_at(&self, position: f64, approach: ApproachDirection) -> f64 {
         match approach {
-            Approach::Positive => interpolate_linear(&self.forward, position),
-            Approach::Negative => interpolate_linear(&self.reverse, position),
+            ApproachDirection::Positive => interpolate_linear(&self.forward, position),
+            ApproachDirection::Negative => interpolate_linear(&self.reverse, position),
         }
     }
 }
 
-pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     for drive in collect_drive_errors(machine, options) {
         export_drive(&drive, options, export);
     }
@@ -96,8 +96,8 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     }
 }
 
-fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Export) {
-    if drive.is_constant() && drive.error_um(0.0, Approach::Positive) == 0.0 {
+fn export_drive(drive: &DriveErrorModel<'_>, options: &ExportOptions, export: &mut ExportResult) {
+    if drive.is_constant() && drive.error_um(0.0, ApproachDirection::Positive) == 0.0 {
         return;
     }
     let mut positions_mm = drive.breakpoints_mm();
@@ -105,10 +105,11 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
         // One line holds everywhere.
         positions_mm.push(0.0);
     }
-    let columns = Approach::BOTH.map(|approach| {
+    let columns = ApproachDirection::BOTH.map(|approach| {
         positions_mm.iter().map(|&mm| drive.error_um(mm, approach)).collect::<Vec<f64>>()
     });
-    let most = options.most_points.unwrap_or(MAX_LINES).clamp(2, MAX_LINES);
+    let most =
+        options.most_points.unwrap_or(MAX_COMPENSATION_ENTRIES).clamp(2, MAX_COMPENSATION_ENTRIES);
     let keeps_all = !drive.is_curved() && positions_mm.len() <= most;
     let (rows, off_um) = if keeps_all {
         ((0..positions_mm.len()).collect(), 0.0)
@@ -128,9 +129,10 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
     let unit_mm = options.units.mm_per_unit();
     let mut text = String::new();
     for &row in &rows {
-        let [forward, reverse] =
-            [0, 1].map(|column| format_number(-columns[column][row] / 1000.0 / unit_mm, DECIMALS));
-        let nominal = format_number(positions_mm[row] / unit_mm, DECIMALS);
+        let [forward, reverse] = [0, 1].map(|column| {
+            format_number(-columns[column][row] / 1000.0 / unit_mm, COMPENSATION_DECIMALS)
+        });
+        let nominal = format_number(positions_mm[row] / unit_mm, COMPENSATION_DECIMALS);
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{nominal} {forward} {reverse}");
     }
@@ -222,8 +224,8 @@ mod tests {
         for (mm, forward, reverse) in
             [(-50.0, 0.001, 0.004), (50.0, 0.002, 0.001), (150.0, 0.003, -0.002)]
         {
-            assert!((read.trim_at(mm, Approach::Positive) - forward).abs() < 1e-15);
-            assert!((read.trim_at(mm, Approach::Negative) - reverse).abs() < 1e-15);
+            assert!((read.trim_at(mm, ApproachDirection::Positive) - forward).abs() < 1e-15);
+            assert!((read.trim_at(mm, ApproachDirection::Negative) - reverse).abs() < 1e-15);
         }
     }
 }

@@ -6,14 +6,14 @@ use crate::{ExportFormat, ExportOptions, number_format::format_number};
 
 /// The direction in which a position is approached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Approach {
+pub enum ApproachDirection {
     /// Towards larger positions.
     Positive,
     /// Towards smaller positions.
     Negative,
 }
 
-impl Approach {
+impl ApproachDirection {
     /// Both directions, in the order of the tables.
     pub const BOTH: [Self; 2] = [Self::Positive, Self::Negative];
 

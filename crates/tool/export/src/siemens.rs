@@ -28,16 +28,18 @@ mod thermal;
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 
 pub use read_back::{IniVariables, LookupTable};
 
 use crate::{
-    Export, ExportOptions, ExportedFile, LengthUnit,
-    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
-    grid::PointGrid,
+    ExportOptions, ExportResult, ExportedFile, LengthUnit,
+    axis_errors::{
+        CrossAxisError, DriveErrorModel, collect_cross_axis_errors, collect_drive_errors,
+    },
     number_format::format_number,
-    report::Approach,
+    report::ApproachDirection,
+    table_points::PointGrid,
 };
 
 /// The most points of an encoder table.
@@ -78,12 +80,12 @@ struct IniFileContents {
     cec_sum_um: BTreeMap<String, f64>,
 }
 
-pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let mut files = IniFileContents::default();
     let mut planned = Vec::new();
     for drive in collect_drive_errors(machine, options) {
         if drive.is_constant() {
-            let um = drive.error_um(0.0, Approach::Positive);
+            let um = drive.error_um(0.0, ApproachDirection::Positive);
             export.report.add_note(format!(
                 "{}: the same {um:+.3} µm everywhere is a shift of the zero, nothing to correct",
                 drive.source_sections()
@@ -92,7 +94,8 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         }
         planned.push(write_drive_table(machine, options, &drive, &mut files));
     }
-    for cross in collect_cross_axis_errors(machine).iter().flat_map(CrossAxisError::separate_terms)
+    for cross in
+        collect_cross_axis_errors(machine).iter().flat_map(CrossAxisError::split_into_terms)
     {
         match write_cross_axis_table(machine, options, &cross, &mut files) {
             Some(plan) => planned.push(plan),
@@ -105,7 +108,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     }
     let has_tables = !planned.is_empty();
     write_files(options, files, export);
-    let read = |name: &str, export: &Export| {
+    let read = |name: &str, export: &ExportResult| {
         let file = export.files.iter().find(|file| file.name == name);
         file.map_or_else(|| Ok(IniVariables::default()), |file| IniVariables::parse(&file.text))
     };
@@ -143,19 +146,19 @@ struct PlannedTable<'m> {
 }
 
 enum ModelPart<'m> {
-    Drive(DriveError<'m>),
+    Drive(DriveErrorModel<'m>),
     CrossAxisError(CrossAxisError<'m>),
 }
 
 fn write_drive_table<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
-    drive: &DriveError<'m>,
+    drive: &DriveErrorModel<'m>,
     files: &mut IniFileContents,
 ) -> PlannedTable<'m> {
     let axis = machine_axis_name(machine, drive.axis, drive.is_second);
     let reference_mm = options.reference_mm[drive.axis.index()];
-    let constant_um = drive.error_um(reference_mm, Approach::Positive);
+    let constant_um = drive.error_um(reference_mm, ApproachDirection::Positive);
     let most = if drive.is_bidirectional() { MAX_CEC_POINTS } else { MAX_EEC_POINTS };
     let most = options.most_points.unwrap_or(most).clamp(2, most);
     let points_mm = drive.breakpoints_mm();
@@ -167,7 +170,7 @@ fn write_drive_table<'m>(
         }
         (_, [first, .., last]) => {
             // Half of the tolerance is left for the rounding.
-            let grids = Approach::BOTH.map(|approach| {
+            let grids = ApproachDirection::BOTH.map(|approach| {
                 let error_um = |mm| drive.error_um(mm, approach);
                 let tolerance_um = options.tolerance_um / 2.0;
                 PointGrid::with_tolerance(
@@ -187,19 +190,19 @@ fn write_drive_table<'m>(
     let mut cec = Vec::new();
     let error_um = |mm: f64, approach| drive.error_um(mm, approach) - constant_um;
     if drive.is_bidirectional() {
-        for approach in Approach::BOTH {
+        for approach in ApproachDirection::BOTH {
             let table = CecTable { input: &axis, output: &axis, approach: Some(approach), grid };
             cec.push(files.write_cec(options, &table, |mm| error_um(mm, approach)));
         }
         let largest = grid
             .positions_mm()
             .into_iter()
-            .flat_map(|mm| Approach::BOTH.map(|approach| error_um(mm, approach).abs()));
+            .flat_map(|mm| ApproachDirection::BOTH.map(|approach| error_um(mm, approach).abs()));
         *files.cec_sum_um.entry(axis).or_default() += largest.fold(0.0, f64::max);
     } else {
         if drive.is_position_dependent() {
             // The backlash comes on top of the table, by a machine data of its own.
-            files.write_eec(options, &axis, grid, |mm| error_um(mm, Approach::Positive));
+            files.write_eec(options, &axis, grid, |mm| error_um(mm, ApproachDirection::Positive));
         }
         if drive.backlash_um() != 0.0 {
             let mm = drive.backlash_um() / 1000.0 / options.units.mm_per_unit();
@@ -248,7 +251,7 @@ struct CecTable<'a> {
     input: &'a str,
     output: &'a str,
     /// `None`: the table serves both directions.
-    approach: Option<Approach>,
+    approach: Option<ApproachDirection>,
     grid: PointGrid,
 }
 
@@ -288,7 +291,7 @@ impl IniFileContents {
         let t = self.cec_tables;
         self.cec_tables += 1;
         let points = format_table(options, table.grid, error_um);
-        let direction = table.approach.map_or(0.0, Approach::sign);
+        let direction = table.approach.map_or(0.0, ApproachDirection::sign);
         let cec = &mut self.cec;
         for (index, value) in points.values.iter().enumerate() {
             push_line(cec, &format!("$AN_CEC[{t},{index}]={value}"));
@@ -338,7 +341,7 @@ fn format_table(
     }
 }
 
-fn write_files(options: &ExportOptions, mut files: IniFileContents, export: &mut Export) {
+fn write_files(options: &ExportOptions, mut files: IniFileContents, export: &mut ExportResult) {
     for (name, um) in &files.cec_sum_um {
         // Rounded up to a whole µm: above MD32720 the control raises an alarm.
         let mm = format_number(

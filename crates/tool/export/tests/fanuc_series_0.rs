@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, ExportError, ExportFormat, ExportOptions, export,
-    fanuc::{Series, parse_series_0_sheet},
+    ExportError, ExportFormat, ExportOptions, ExportResult, export,
+    fanuc::{FanucSeries, parse_series_0_sheet},
 };
-use trueup_machine::{MachineFile, file::LinearAxis};
+use trueup_machine::{MachineFile, machine_file::LinearAxis};
 
-fn exported(text: &str, fanuc: Series) -> Result<Export, ExportError> {
+fn exported(text: &str, fanuc: FanucSeries) -> Result<ExportResult, ExportError> {
     let source = format!("[machine]\nname = \"lathe\"\nkind = \"3-axis\"\n{text}");
     let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("it is correct");
     export(&machine, ExportFormat::Fanuc, &ExportOptions { fanuc, ..ExportOptions::default() })
@@ -22,7 +22,7 @@ const BOTH: &str = "[axis.x.pitch]\nstart_mm = -100.0\nstep_mm = 100.0\nforward_
 #[test]
 fn the_sheet_has_the_papers_numbers() {
     let x = &BOTH[..BOTH.find("[axis.z").expect("it is there")];
-    let export = exported(x, Series::Zero).expect("it can be held");
+    let export = exported(x, FanucSeries::Zero).expect("it can be held");
     // The reference at point 1, sections of 100 mm: the correction is -4, 0, +2, -3, so the points after
     // the first are +4, +2, -5.
     let sheet = &export.files[0].text;
@@ -43,7 +43,7 @@ fn the_sheet_has_the_papers_numbers() {
 
 #[test]
 fn both_axes_have_one_magnification() {
-    let export = exported(BOTH, Series::Zero).expect("it can be held");
+    let export = exported(BOTH, FanucSeries::Zero).expect("it can be held");
     let sheet = &export.files[0].text;
     assert!(sheet.contains("0011 PML2=1 PML1=0 (X4, BOTH AXES)"), "{sheet}");
     assert!(sheet.contains("2000 0 (Z: ") && sheet.contains("0757 50000 (Z: "), "{sheet}");
@@ -73,13 +73,13 @@ fn what_series_0_does_not_have_is_omitted_with_the_reason() {
         "{BOTH}[axis.y.pitch]\nstart_mm = 0.0\nstep_mm = 50.0\nforward_um = [0.0, 1.0]\n\
          [straightness.z_of_x]\norder = 2\nknots_mm = [0.0, 0.0, 100.0, 100.0]\ncontrol_um = [0.0, 3.0]\n"
     );
-    let export = exported(&text, Series::Zero).expect("the rest can be held");
+    let export = exported(&text, FanucSeries::Zero).expect("the rest can be held");
     let left = export.report.to_string();
     assert!(left.contains("axis.y.pitch: Series 0 has numbers for X and Z"), "{left}");
     assert!(left.contains("straightness.z_of_x: Series 0 has no straightness"), "{left}");
     let two_way = "[axis.x.pitch]\nstart_mm = 0.0\nstep_mm = 50.0\nforward_um = [0.0, 1.0]\n\
                    reverse_um = [4.0, 6.0]\n";
-    let refused = exported(two_way, Series::Zero).expect_err("nothing is left");
+    let refused = exported(two_way, FanucSeries::Zero).expect_err("nothing is left");
     assert!(refused.to_string().contains("--ways one"), "{refused}");
 }
 

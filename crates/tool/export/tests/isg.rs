@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, ExportError, ExportFormat, ExportOptions, export,
+    ExportError, ExportFormat, ExportOptions, ExportResult, export,
     isg::{CompensationFile, parse},
 };
 use trueup_machine::{
@@ -15,11 +15,11 @@ fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn exported(text: &str) -> Result<Export, ExportError> {
+fn exported(text: &str) -> Result<ExportResult, ExportError> {
     export(&machine(text), ExportFormat::Isg, &ExportOptions::default())
 }
 
-fn file<'e>(export: &'e Export, name: &str) -> &'e str {
+fn file<'e>(export: &'e ExportResult, name: &str) -> &'e str {
     &export.files.iter().find(|file| file.name == name).expect("it is there").text
 }
 

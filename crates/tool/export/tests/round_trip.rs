@@ -7,13 +7,13 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_export::{
-    Approach, Export, ExportFormat, ExportOptions, ExportedTable, LengthUnit, export, fanuc,
-    heidenhain, linuxcnc,
+    ApproachDirection, ExportFormat, ExportOptions, ExportResult, ExportedTable, LengthUnit,
+    export, fanuc, heidenhain, linuxcnc,
     siemens::{IniVariables, LookupTable},
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{AxisModel, LinearAxis, PitchErrorTable},
+    machine_file::{AxisModel, LinearAxis, PitchErrorTable},
     model::{backlash_um, pitch_error_um, spline_value_um, squareness_error_um},
 };
 
@@ -123,7 +123,7 @@ impl Random {
 
 const MACHINES: u64 = 12;
 
-fn text<'e>(export: &'e Export, name: &str) -> &'e str {
+fn text<'e>(export: &'e ExportResult, name: &str) -> &'e str {
     &export.files.iter().find(|file| file.name == name).expect("the file is there").text
 }
 
@@ -133,7 +133,12 @@ fn positions(first: f64, last: f64) -> impl Iterator<Item = f64> {
 }
 
 /// Returns the error of one drive, from the model's functions alone.
-fn drive_um(axis: &AxisModel, pitch: Option<&PitchErrorTable>, mm: f64, approach: Approach) -> f64 {
+fn drive_um(
+    axis: &AxisModel,
+    pitch: Option<&PitchErrorTable>,
+    mm: f64,
+    approach: ApproachDirection,
+) -> f64 {
     let direction = approach.sign();
     pitch.map_or(0.0, |pitch| pitch_error_um(pitch, mm, direction))
         + axis.backlash.as_ref().map_or(0.0, |backlash| backlash_um(backlash, direction))
@@ -161,20 +166,20 @@ fn drives(machine: &Machine) -> Vec<(String, &AxisModel, Option<&PitchErrorTable
     all
 }
 
-fn table(export: &Export, what: impl Fn(&ExportedTable) -> bool) -> &ExportedTable {
+fn table(export: &ExportResult, what: impl Fn(&ExportedTable) -> bool) -> &ExportedTable {
     export.report.tables.iter().find(|table| what(table)).expect("the table is there")
 }
 
 /// Compares over the table's range and a little beyond; gives the largest difference.
 fn assert_stated(
     table: &ExportedTable,
-    error_um: impl Fn(f64, Approach) -> f64,
-    correction_um: impl Fn(f64, Approach) -> f64,
+    error_um: impl Fn(f64, ApproachDirection) -> f64,
+    correction_um: impl Fn(f64, ApproachDirection) -> f64,
 ) -> f64 {
     let (first, last) = table.range;
     let mut worst = 0.0_f64;
     for mm in positions(first, last) {
-        for approach in Approach::BOTH {
+        for approach in ApproachDirection::BOTH {
             let left = correction_um(mm, approach) + error_um(mm, approach) - table.constant_um;
             worst = worst.max(left.abs());
         }
@@ -236,7 +241,7 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
             let correction = |mm: f64, way| {
                 let table =
                     own.as_ref().map_or(0.0, |own| own.value(mm / units.mm_per_unit(), way));
-                let lash = if way == Approach::Negative { lash } else { 0.0 };
+                let lash = if way == ApproachDirection::Negative { lash } else { 0.0 };
                 cross_tables(name, name, mm, way) - (table + lash) * unit
             };
             let stated = table(&export, |table| {
@@ -269,7 +274,7 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
                     (a.min(t.range.0), b.max(t.range.1))
                 });
             for mm in positions(first, last) {
-                for way in Approach::BOTH {
+                for way in ApproachDirection::BOTH {
                     let left = cross_tables(&input, &output, mm, way)
                         + cross_um(&machine, error, along, mm)
                         - constant_um;
@@ -310,7 +315,8 @@ fn heidenhain_corrects_every_drive_and_every_pair_within_tolerance_and_rounding(
             let back = read(&key);
             let stated = table(&export, |table| table.file == format!("{key}.com"));
             let correction = |mm, way| {
-                let column = if way == Approach::Negative { "BACKLASH" } else { key.as_str() };
+                let column =
+                    if way == ApproachDirection::Negative { "BACKLASH" } else { key.as_str() };
                 back.correction_um(column, mm)
             };
             worst = worst.max(assert_stated(
@@ -368,12 +374,13 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
             let spacing = stated.spacing.expect("it is equidistant");
             for k in 0..=stated.points {
                 let mm = stated.range.0 + spacing * k as f64;
-                for way in Approach::BOTH {
+                for way in ApproachDirection::BOTH {
                     let left = back.correction_in_detection_units(mm, way, true) * options.unit_um
                         + drive_um(axis, pitch, mm, way)
                         - stated.constant_um;
                     // The second table, and the backlash, begin at a rounded value of their own.
-                    let rounded = (scale + if way == Approach::Negative { 1.0 } else { 0.0 }) / 2.0;
+                    let rounded =
+                        (scale + if way == ApproachDirection::Negative { 1.0 } else { 0.0 }) / 2.0;
                     assert!(
                         left.abs() <= rounded * options.unit_um + 1e-6,
                         "{left} at {mm} of {stated:?}"

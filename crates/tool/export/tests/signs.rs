@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use trueup_export::{
-    Approach, Export, ExportError, ExportFormat, ExportOptions, LengthUnit, export,
+    ApproachDirection, ExportError, ExportFormat, ExportOptions, ExportResult, LengthUnit, export,
 };
 use trueup_machine::{Machine, MachineFile};
 
@@ -50,11 +50,11 @@ fn machine() -> Machine {
     MachineFile::parse(MACHINE, Path::new("hand.toml")).expect("it is correct")
 }
 
-fn exported(format: ExportFormat, options: &ExportOptions) -> Export {
+fn exported(format: ExportFormat, options: &ExportOptions) -> ExportResult {
     export(&machine(), format, options).expect("it can be held")
 }
 
-fn file<'e>(export: &'e Export, name: &str) -> &'e str {
+fn file<'e>(export: &'e ExportResult, name: &str) -> &'e str {
     let file = export.files.iter().find(|file| file.name == name);
     &file.unwrap_or_else(|| panic!("no {name} in {:?}", export.files)).text
 }
@@ -211,8 +211,8 @@ fn a_wrong_sign_anywhere_would_show() {
     // The readers give the correction; with the model's error it must vanish, not double.
     let export = exported(ExportFormat::LinuxCnc, &ExportOptions::default());
     let read = trueup_export::linuxcnc::parse(file(&export, "x.comp")).expect("it is correct");
-    assert_eq!(read.trim_at(200.0, Approach::Positive), 0.003);
-    assert_eq!(read.trim_at(200.0, Approach::Negative), -0.002);
+    assert_eq!(read.trim_at(200.0, ApproachDirection::Positive), 0.003);
+    assert_eq!(read.trim_at(200.0, ApproachDirection::Negative), -0.002);
 }
 
 #[test]

@@ -5,12 +5,12 @@
 //! Student's t for the days that are left.
 
 use serde::Serialize;
-use trueup_compare::dated::EpochDay;
+use trueup_compare::dated_constants::EpochDay;
 use trueup_numerics::t_quantile;
 
 use crate::{
     outliers::SIGNIFICANCE_LEVEL,
-    pool::{Estimate, NORMAL_QUANTILE_975},
+    random_effects::{Estimate, NORMAL_QUANTILE_975},
 };
 
 /// Days of a year.

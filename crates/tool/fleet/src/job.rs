@@ -19,7 +19,7 @@ pub struct JobFile {
 
 /// Request to the diagnosis, as the options of `trueup diagnose`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Request {
+pub struct DiagnosisRequest {
     /// Quantity to compare, where the runs measure several.
     pub quantity: Option<String>,
     /// The size of an error that matters, in µm RMS.
@@ -50,7 +50,7 @@ pub struct Job {
     /// Runs not used for the fit.
     pub holdout: Vec<JobFile>,
     /// The request.
-    pub request: Request,
+    pub request: DiagnosisRequest,
 }
 
 /// A file that is submitted: its path as the user gave it, and its content.
@@ -64,7 +64,7 @@ pub struct SubmittedFile {
 
 /// A job that is submitted.
 #[derive(Clone, Debug)]
-pub struct Submission {
+pub struct JobSubmission {
     /// The machine: its serial number, or what the user calls it.
     pub machine: String,
     /// The day of the record.
@@ -78,7 +78,7 @@ pub struct Submission {
     /// Runs not used for the fit.
     pub holdout: Vec<SubmittedFile>,
     /// The request.
-    pub request: Request,
+    pub request: DiagnosisRequest,
 }
 
 /// A job in the folder.
@@ -108,7 +108,7 @@ pub enum StoredJobError {
     Checksum(String),
 }
 
-impl Submission {
+impl JobSubmission {
     /// Returns the files in their order: the name that each has in the folder, and its content.
     fn files(&self) -> Vec<(String, &SubmittedFile)> {
         let numbered = |kind: &'static str, all: &'_ [SubmittedFile]| -> Vec<String> {
@@ -204,7 +204,7 @@ impl Job {
     }
 
     /// Returns what the identifier is made of.
-    fn identifying_content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+    fn identifying_content(&self) -> (&str, &DiagnosisRequest, Vec<(&str, &str)>) {
         let files = self.files().map(|file| (file.stored.as_str(), file.crc64.as_str()));
         (&self.machine, &self.request, files.collect())
     }
@@ -245,17 +245,17 @@ impl Job {
 mod tests {
     use super::*;
 
-    fn submission(machine: &str, run: &[u8]) -> Submission {
+    fn submission(machine: &str, run: &[u8]) -> JobSubmission {
         let content =
             |path: &str, bytes: &[u8]| SubmittedFile { path: path.into(), bytes: bytes.into() };
-        Submission {
+        JobSubmission {
             machine: machine.into(),
             date: None,
             machine_file: content("m.toml", b"[machine]"),
             runs: vec![content("r.csv", run)],
             off: Vec::new(),
             holdout: Vec::new(),
-            request: Request::default(),
+            request: DiagnosisRequest::default(),
         }
     }
 

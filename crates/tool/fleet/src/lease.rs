@@ -32,7 +32,7 @@ pub(crate) struct LeaseMonitor {
 
 /// A lease that this worker holds.
 #[derive(Debug)]
-pub(crate) struct Lease {
+pub(crate) struct JobLease {
     path: PathBuf,
     worker: String,
     beats: u64,
@@ -96,7 +96,7 @@ pub(crate) fn remove_leases(store: &FleetStore, id: &str) -> io::Result<()> {
     Ok(())
 }
 
-impl Lease {
+impl JobLease {
     /// Takes a job for the `number`-th time; none where another worker was faster.
     pub(crate) fn acquire(
         store: &FleetStore,
@@ -140,7 +140,7 @@ mod tests {
     fn one_of_two_workers_gets_a_job_and_a_still_counter_ends_its_lease() {
         let folder = tempfile::tempdir().expect("a folder");
         let store = FleetStore::create(folder.path()).expect("it is made");
-        let take = |number| Lease::acquire(&store, "a", number, "w").expect("it is written");
+        let take = |number| JobLease::acquire(&store, "a", number, "w").expect("it is written");
         let mut first = take(1).expect("nobody has it");
         assert!(take(1).is_none());
         let watch = LeaseMonitor::new(Duration::from_secs(10));

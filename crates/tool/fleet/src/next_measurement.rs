@@ -7,8 +7,8 @@
 use trueup_page::format_micrometres;
 
 use crate::{
-    constants::is_log_scaled,
-    pool::Estimate,
+    estimated_constants::is_log_scaled,
+    random_effects::Estimate,
     record::{MachineRecord, PooledConstant, UncertainConstant},
     report::NextMeasurement,
 };
@@ -63,13 +63,13 @@ pub(crate) fn suggest_measurements(
         }
     }
     if listed.is_empty() {
-        listed.extend(least_recently_measured(records));
+        listed.extend(suggest_least_recently_measured_machine(records));
     }
     listed
 }
 
 /// Where no constant is in doubt, the machine whose newest record is the oldest.
-fn least_recently_measured(records: &[MachineRecord]) -> Option<NextMeasurement> {
+fn suggest_least_recently_measured_machine(records: &[MachineRecord]) -> Option<NextMeasurement> {
     let newest_of = |machine: &str| {
         records
             .iter()

@@ -18,7 +18,7 @@
 use serde::Serialize;
 use trueup_numerics::t_cdf;
 
-use crate::pool::Estimate;
+use crate::random_effects::Estimate;
 
 /// How often a healthy machine is called odd.
 pub(crate) const SIGNIFICANCE_LEVEL: f64 = 0.01;
@@ -48,7 +48,7 @@ pub fn compare_machines(
     machines: &[Estimate],
     constants: usize,
 ) -> Option<Vec<PredictiveTestResult>> {
-    if machines.len() < crate::pool::MIN_POOLED_MACHINES {
+    if machines.len() < crate::random_effects::MIN_POOLED_MACHINES {
         return None;
     }
     let out = find_outliers(machines);
@@ -70,7 +70,7 @@ fn find_outliers(machines: &[Estimate]) -> Vec<usize> {
     let most = (MAX_OUTLIER_FRACTION * machines.len() as f64).ceil() as usize;
     let mut rest: Vec<usize> = (0..machines.len()).collect();
     let (mut out, mut certain) = (Vec::new(), 0);
-    while out.len() < most && rest.len() >= crate::pool::MIN_POOLED_MACHINES {
+    while out.len() < most && rest.len() >= crate::random_effects::MIN_POOLED_MACHINES {
         let p = |index: usize| {
             let others = rest.iter().filter(|other| **other != index);
             let others: Vec<Estimate> = others.map(|other| machines[*other]).collect();

@@ -1,8 +1,8 @@
 //! A result of one machine as the series takes it, and what is open about a constant of it.
 
-use trueup_compare::dated::EpochDay;
+use trueup_compare::dated_constants::EpochDay;
 
-use crate::{constants::NamedFinding, pool::Estimate};
+use crate::{estimated_constants::NamedFinding, random_effects::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]

@@ -7,15 +7,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use trueup_compare::dated::{EpochDay, format_day};
+use trueup_compare::dated_constants::{EpochDay, format_day};
 
 use crate::{
-    causes,
-    constants::is_log_scaled,
+    cause_summary,
     drift::{Drift, current_estimate, estimate_drift},
+    estimated_constants::is_log_scaled,
     next_measurement,
     outliers::{self, compare_machines, holm_adjust},
-    pool::{Estimate, NORMAL_QUANTILE_975, pool_estimates},
+    random_effects::{Estimate, NORMAL_QUANTILE_975, pool_estimates},
     record::{MachineRecord, PooledConstant, UncertainConstant},
     report::{
         DriftingConstant, IntervalEstimate, Machine, MachineComparison, MemberConstant,
@@ -49,7 +49,7 @@ struct MachineConstant<'r> {
 /// Returns what the records say together; `notes`: what is known of them already.
 #[must_use]
 pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesReport {
-    let constants = group_by_constant(records);
+    let constants = group_estimates_by_constant(records);
     let beliefs: BTreeSet<&str> = records.iter().map(|record| record.belief.as_str()).collect();
     let mut compared_on: BTreeMap<&str, usize> = BTreeMap::new();
     let mut known_on: BTreeMap<&str, usize> = BTreeMap::new();
@@ -57,7 +57,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
         for machine in machines.keys() {
             *known_on.entry(machine).or_default() += 1;
             *compared_on.entry(machine).or_default() +=
-                usize::from(machines.len() >= crate::pool::MIN_POOLED_MACHINES);
+                usize::from(machines.len() >= crate::random_effects::MIN_POOLED_MACHINES);
         }
     }
     let mut all = Vec::new();
@@ -94,7 +94,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
         schema: 1,
         machines: summarise_machines(records, &all, &drifts),
         constants: all,
-        causes: causes::summarise_causes(records),
+        causes: cause_summary::summarise_causes(records),
         drifts,
         next: next_measurement::suggest_measurements(&pooled, records),
         notes,
@@ -119,7 +119,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
 
 /// Returns each constant with its readings on each machine. A fit for the series counts where the machine's own diagnoses
 /// did not find the cause.
-fn group_by_constant(
+fn group_estimates_by_constant(
     records: &[MachineRecord],
 ) -> BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> {
     let mut all: BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> = BTreeMap::new();
@@ -276,7 +276,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::constants;
+    use crate::estimated_constants;
 
     /// A record with one finding, a value with an error of 0.1.
     fn record(machine: &str, value: f64, claimed: bool) -> MachineRecord {
@@ -292,7 +292,7 @@ mod tests {
             verdict: "explained".into(),
             quantity: "dz".into(),
             belief: "b".into(),
-            found: constants::parse_findings(&diagnosis),
+            found: estimated_constants::parse_findings(&diagnosis),
             fitted: Vec::new(),
         }
     }

@@ -22,7 +22,7 @@ use crc::{CRC_64_XZ, Crc};
 use tempfile::{NamedTempFile, TempDir};
 
 /// The folders of a fleet.
-const SUBFOLDERS: [&str; 5] = ["jobs", "leases", "results", "failed", "tmp"];
+const FLEET_SUBFOLDERS: [&str; 5] = ["jobs", "leases", "results", "failed", "tmp"];
 
 /// A fleet's folder.
 #[derive(Clone, Debug)]
@@ -36,14 +36,14 @@ impl FleetStore {
     /// # Errors
     /// A folder cannot be made.
     pub fn create(root: &Path) -> io::Result<Self> {
-        SUBFOLDERS.iter().try_for_each(|name| fs::create_dir_all(root.join(name)))?;
+        FLEET_SUBFOLDERS.iter().try_for_each(|name| fs::create_dir_all(root.join(name)))?;
         Ok(Self { root: root.into() })
     }
 
     /// Opens a folder that `submit` has made; none where it is something else.
     #[must_use]
     pub fn open(root: &Path) -> Option<Self> {
-        let is_there = SUBFOLDERS.iter().all(|name| root.join(name).is_dir());
+        let is_there = FLEET_SUBFOLDERS.iter().all(|name| root.join(name).is_dir());
         is_there.then(|| Self { root: root.into() })
     }
 

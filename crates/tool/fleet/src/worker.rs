@@ -27,8 +27,8 @@ use trueup_numerics::parallel::run_single_threaded;
 
 use crate::{
     job::{Job, JobFile, StoredJobError},
-    lease::{self, Lease, LeaseMonitor},
-    result::{JobResult, ResultFile},
+    job_result::{JobResult, ResultFile},
+    lease::{self, JobLease, LeaseMonitor},
     store::{FleetStore, compute_checksum},
 };
 
@@ -144,7 +144,7 @@ struct WorkerThreads<'t> {
 
 /// Work to do.
 enum NextJob {
-    Job(String, Lease),
+    Job(String, JobLease),
     /// Other workers have what is left.
     Wait,
     /// Every job has ended.
@@ -174,7 +174,7 @@ impl WorkerThreads<'_> {
                 if self.store.is_job_ended(&id) {
                     continue;
                 }
-                let Some(lease) = Lease::acquire(self.store, &id, number, worker)? else {
+                let Some(lease) = JobLease::acquire(self.store, &id, number, worker)? else {
                     continue;
                 };
                 // It may have ended between the two.
@@ -224,7 +224,7 @@ impl WorkerThreads<'_> {
     }
 
     /// Does a job while its lease is renewed.
-    fn process_job(&self, id: &str, mut lease: Lease) -> io::Result<()> {
+    fn process_job(&self, id: &str, mut lease: JobLease) -> io::Result<()> {
         let (ended, end) = channel::<()>();
         let renewed = self.options.lease / RENEWALS_PER_LEASE;
         let done = thread::scope(|scope| {

@@ -3,9 +3,9 @@
 
 use trueup_fleet::{
     outliers::compare_machines,
-    pool::{Estimate, pool_estimates},
+    random_effects::{Estimate, pool_estimates},
 };
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 /// A drawn series: what is true of each machine, and what was measured.
 struct Drawn {
@@ -15,7 +15,7 @@ struct Drawn {
 
 /// Draws machines around 7 with this spread; the errors of the fits differ by a factor up to three, 1 in the mean square
 /// where they are equal.
-fn drawn(generator: &mut Generator, machines: usize, spread: f64, are_equal: bool) -> Drawn {
+fn drawn(generator: &mut RandomGenerator, machines: usize, spread: f64, are_equal: bool) -> Drawn {
     let truth: Vec<f64> = (0..machines).map(|_| 7.0 + spread * generator.normal()).collect();
     let measured = truth.iter().map(|truth| {
         let se = if are_equal { 1.0 } else { 0.6 + 1.2 * generator.uniform() };
@@ -28,7 +28,7 @@ fn drawn(generator: &mut Generator, machines: usize, spread: f64, are_equal: boo
 /// Returns the RMS error of the shrunk values relative to that of the single fits, and the share of intervals that hold
 /// the truth.
 fn relative_error(machines: usize, spread: f64, are_equal: bool, series: usize) -> (f64, f64) {
-    let mut generator = Generator::new(machines as u64 * 1000 + (spread * 10.0) as u64);
+    let mut generator = RandomGenerator::new(machines as u64 * 1000 + (spread * 10.0) as u64);
     let (mut shrunk_sum, mut own_sum, mut held) = (0.0, 0.0, 0);
     for _ in 0..series {
         let Drawn { truth, measured } = drawn(&mut generator, machines, spread, are_equal);
@@ -77,9 +77,13 @@ fn pooling_is_never_worse_for_few_machines_or_large_spreads() {
 
 /// Returns how often the machine that is off is found, how often a healthy one is accused, and how often a series has one
 /// that is accused.
-fn found_and_accused(machines: usize, error: f64, off: &dyn Fn(&mut Generator) -> f64) -> [f64; 3] {
+fn found_and_accused(
+    machines: usize,
+    error: f64,
+    off: &dyn Fn(&mut RandomGenerator) -> f64,
+) -> [f64; 3] {
     const SERIES: usize = 250;
-    let mut generator = Generator::new(machines as u64);
+    let mut generator = RandomGenerator::new(machines as u64);
     let (mut found, mut accused, mut series) = (0, 0, 0);
     for _ in 0..SERIES {
         let mut measured: Vec<Estimate> = (0..machines)
@@ -112,7 +116,8 @@ fn a_machine_five_spreads_off_is_found_and_a_healthy_one_is_left_alone() {
 fn without_an_odd_machine_a_healthy_one_is_accused_in_one_of_a_hundred_at_most() {
     for machines in [4, 6, 10, 30] {
         for error in [0.02, 1.0, 3.0] {
-            let [first, others, series] = found_and_accused(machines, error, &Generator::normal);
+            let [first, others, series] =
+                found_and_accused(machines, error, &RandomGenerator::normal);
             println!("{machines} machines, error {error}: {first:.4} {others:.4} {series:.3}");
             assert!(others <= 0.01, "{machines} machines, error {error}: {others}");
         }
@@ -121,7 +126,7 @@ fn without_an_odd_machine_a_healthy_one_is_accused_in_one_of_a_hundred_at_most()
 
 #[test]
 fn three_odd_machines_do_not_hide_each_other() {
-    let mut generator = Generator::new(3);
+    let mut generator = RandomGenerator::new(3);
     let mut found = 0;
     for _ in 0..100 {
         let mut measured: Vec<Estimate> =

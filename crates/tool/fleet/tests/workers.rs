@@ -7,8 +7,8 @@ use std::{
 };
 
 use trueup_fleet::{
-    job::{Request, Submission, SubmittedFile},
-    result,
+    job::{DiagnosisRequest, JobSubmission, SubmittedFile},
+    job_result,
     store::FleetStore,
     worker::{DiagnoseFn, DiagnosisError, JobCounts, WorkerOptions, read_status, run_workers},
 };
@@ -20,15 +20,15 @@ fn content(text: &str) -> SubmittedFile {
     SubmittedFile { path: "file".into(), bytes: text.into() }
 }
 
-fn submission(run: &str) -> Submission {
-    Submission {
+fn submission(run: &str) -> JobSubmission {
+    JobSubmission {
         machine: "m".into(),
         date: None,
         machine_file: content("[machine]"),
         runs: vec![content(run)],
         off: Vec::new(),
         holdout: Vec::new(),
-        request: Request::default(),
+        request: DiagnosisRequest::default(),
     }
 }
 
@@ -56,7 +56,7 @@ fn each_job_is_done_once_by_the_threads_together() {
     });
     assert_eq!(tally.expect("it is written"), JobCounts { done: 40, failed: 0 });
     assert_eq!(done.into_inner(), 40);
-    let results = result::read_all(&store).expect("it is read");
+    let results = job_result::read_all_results(&store).expect("it is read");
     assert_eq!((results.whole.len(), results.damaged.len()), (40, 0));
     let status = read_status(&store).expect("it is read");
     assert_eq!((status.done.len(), status.waiting.len(), status.running.len()), (40, 0, 0));
@@ -135,7 +135,7 @@ fn a_damaged_result_and_a_damaged_run_are_reported() {
     assert!(reason.contains("checksum"), "{reason}");
     let file = folder.path().join("results").join(&ids[1]).join("out").join("twice.txt");
     fs::write(file, "99").expect("it is written");
-    let results = result::read_all(&store).expect("it is read");
+    let results = job_result::read_all_results(&store).expect("it is read");
     assert_eq!((results.whole.len(), results.damaged.len()), (0, 1));
     assert!(results.damaged[0].contains("twice.txt"), "{:?}", results.damaged);
 }

@@ -11,7 +11,7 @@ use std::{
 };
 
 use trueup_client::{
-    connection::{Connection, ConnectionEvent},
+    connection::{BridgeConnection, ConnectionEvent},
     duplex_stream::DuplexStream,
     pinned_calibration::PinnedCalibration,
 };
@@ -96,7 +96,7 @@ pub fn spawn_bridge_thread(
     mut open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
 ) -> JoinHandle<()> {
     thread::spawn(move || {
-        let line = Connection::spawn(move || {
+        let line = BridgeConnection::spawn(move || {
             let (reader, writer) = open()?;
             Ok((Box::new(ThrottledReader(reader)), writer))
         });

@@ -10,7 +10,7 @@ use trueup_link::{
         self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, SPINDLE_PERIOD_MS,
     },
 };
-use trueup_modbus::holding::CncData;
+use trueup_modbus::holding_block::CncData;
 
 /// Frames of one identifier: their counter, and when the last was sent.
 #[derive(Clone, Copy, Debug, Default)]

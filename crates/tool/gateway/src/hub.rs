@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a valid pair of offset frames | what they say, the counter one further |
 //! | no new pair | stands, counter and all |
-//! | none for `STALE_TIMEOUT` | "not available", quality 6; the counter goes on, since the gateway lives |
+//! | none for `OFFSETS_STALE_TIMEOUT` | "not available", quality 6; the counter goes on, since the gateway lives |
 //!
 //! | the PLC | the bridge |
 //! |---|---|
@@ -22,22 +22,22 @@ use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
     receiver::{FrameCounters, OffsetReceiver},
-    slcan::Event,
+    slcan::AdapterMessage,
     status::{StateBits, StatusItem, decode},
 };
 use trueup_modbus::{
-    holding::{self, BlockRejectReason, Checker, CncData},
-    input::{self, InputBlock},
-    input_with_slopes,
+    holding_block::{self, BlockRejectReason, CncData, HoldingBlockChecker},
+    input_block::{self, InputBlock},
+    input_block_with_slopes,
     register_map::WHOLE_HOLDING_LEN,
-    server::Busy,
+    server::RegistersBusy,
 };
 
 use crate::cnc::CncTransmitter;
 
 /// After this time without a valid pair the bridge counts as silent: as in `trueup linuxcnc`, a hundred
 /// cycles, and less than the 256 ms after which a counter of CAN comes round.
-pub(crate) const STALE_TIMEOUT: Duration = Duration::from_millis(100);
+pub(crate) const OFFSETS_STALE_TIMEOUT: Duration = Duration::from_millis(100);
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(3_400);
 /// With slopes each item comes every 1.5 s; three missed.
@@ -51,9 +51,9 @@ const SECOND_MASTER_HOLD_TIME: Duration = Duration::from_secs(2);
 /// Blocks that come so soon after one that may be old have waited with it: a line that goes on delivers them at once.
 const BACKLOG_WINDOW: Duration = Duration::from_millis(30);
 /// `LastRefused` of a block that may be old: it came after a silence.
-pub(crate) const REFUSED_STALE: u16 = 5;
+pub(crate) const REJECT_REASON_STALE: u16 = 5;
 /// `LastRefused` of `Engage` to a bridge that runs on another calibration than the pinned one.
-pub(crate) const REFUSED_CALIBRATION: u16 = 6;
+pub(crate) const REJECT_REASON_CALIBRATION: u16 = 6;
 /// After this time without a valid pair the bridge may have been exchanged: as long as a bridge holds by default.
 const BRIDGE_LOSS_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -84,11 +84,11 @@ pub struct Hub {
     news: Vec<String>,
     stalls: u32,
     input: InputBlock,
-    registers: input::Registers,
-    with_slopes: [u16; input_with_slopes::BLOCK_LEN],
+    registers: input_block::InputRegisters,
+    with_slopes: [u16; input_block_with_slopes::INPUT_WITH_SLOPES_LEN],
     master: Option<(MasterId, Duration)>,
-    checker: Checker,
-    holding: holding::Registers,
+    checker: HoldingBlockChecker,
+    holding: holding_block::HoldingRegisters,
     transmitter: CncTransmitter,
     control: Option<(Duration, Control)>,
     /// The last whole block of the master, or its connection.
@@ -104,9 +104,9 @@ pub struct Hub {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BlockOutcome {
     /// It is used.
-    Used,
+    Accepted,
     /// It is not, and why.
-    Refused(BlockRejectReason),
+    Rejected(BlockRejectReason),
     /// It is not, because it may have waited in a line that stalled.
     MayBeOld,
 }
@@ -135,10 +135,10 @@ impl Hub {
             news: Vec::new(),
             stalls: 0,
             registers: input.encode(),
-            with_slopes: input_with_slopes::encode(&input, None),
+            with_slopes: input_block_with_slopes::encode(&input, None),
             input,
             master: None,
-            checker: Checker::default(),
+            checker: HoldingBlockChecker::default(),
             holding: [0; WHOLE_HOLDING_LEN],
             transmitter: CncTransmitter::default(),
             control: None,
@@ -150,9 +150,9 @@ impl Hub {
     }
 
     /// Takes an event of the bridge's line. Frames and lines that must not be used are counted.
-    pub fn receive(&mut self, now: Duration, event: &Event) {
+    pub fn receive(&mut self, now: Duration, event: &AdapterMessage) {
         match event {
-            Event::Frame(frame) if frame.id() == STATUS_ID => {
+            AdapterMessage::Frame(frame) if frame.id() == STATUS_ID => {
                 let refused = self.board.rejected_status_frame_count();
                 self.board.receive(frame);
                 if self.board.rejected_status_frame_count() == refused {
@@ -169,7 +169,7 @@ impl Hub {
                     }
                 }
             }
-            Event::Frame(frame) => {
+            AdapterMessage::Frame(frame) => {
                 if let Ok(Some(output)) = self.offsets.accept(frame) {
                     let is_available = output.quality != OffsetQuality::Fault;
                     let was_available =
@@ -181,8 +181,10 @@ impl Hub {
                     self.is_new = true;
                 }
             }
-            Event::Malformed(_) => self.malformed_lines = self.malformed_lines.saturating_add(1),
-            Event::Accepted | Event::Refused | Event::Other(_) => {}
+            AdapterMessage::Malformed(_) => {
+                self.malformed_lines = self.malformed_lines.saturating_add(1)
+            }
+            AdapterMessage::Accepted | AdapterMessage::Rejected | AdapterMessage::Other(_) => {}
         }
     }
 
@@ -219,7 +221,7 @@ impl Hub {
                 && self.was_away.is_none_or(|at| received > at)
         });
         let running = self.board.calibration.filter(|_| is_known);
-        self.news.extend(self.pinned.set_running_crc(running));
+        self.news.extend(self.pinned.update_running_crc(running));
     }
 
     /// Makes the input block anew, if there is anything new to say.
@@ -248,14 +250,14 @@ impl Hub {
         self.input.centi_c = self.board.centi_c.map(|centi_c| centi_c.filter(|_| knows));
         self.registers = self.input.encode();
         let slopes = self.fresh_slopes(now);
-        self.with_slopes = input_with_slopes::encode(&self.input, slopes);
+        self.with_slopes = input_block_with_slopes::encode(&self.input, slopes);
     }
 
     /// Returns K₀ and slope of each axis, if all are fresh and of the bridge that is there now.
     fn fresh_slopes(
         &mut self,
         now: Duration,
-    ) -> Option<[input_with_slopes::LinearCoefficients; 3]> {
+    ) -> Option<[input_block_with_slopes::LinearCoefficients; 3]> {
         let is_fresh = |received: &Option<Duration>| {
             received.is_some_and(|received| {
                 now.saturating_sub(received) <= SLOPES_TIMEOUT
@@ -282,14 +284,16 @@ impl Hub {
 
     /// Returns the input block with slopes.
     #[must_use]
-    pub(crate) fn input_registers_with_slopes(&self) -> [u16; input_with_slopes::BLOCK_LEN] {
+    pub(crate) fn input_registers_with_slopes(
+        &self,
+    ) -> [u16; input_block_with_slopes::INPUT_WITH_SLOPES_LEN] {
         self.with_slopes
     }
 
     /// Returns the newest valid pair, unless it is stale.
     fn fresh_output(&self, now: Duration) -> Option<&Output> {
         let (received, output) = self.last.as_ref()?;
-        (now.saturating_sub(*received) <= STALE_TIMEOUT).then_some(output)
+        (now.saturating_sub(*received) <= OFFSETS_STALE_TIMEOUT).then_some(output)
     }
 
     fn output_age_ms(&self, now: Duration) -> u16 {
@@ -300,7 +304,7 @@ impl Hub {
 
     /// Returns the input block.
     #[must_use]
-    pub fn input_registers(&self) -> input::Registers {
+    pub fn input_registers(&self) -> input_block::InputRegisters {
         self.registers
     }
 
@@ -328,7 +332,7 @@ impl Hub {
 
     /// Returns the holding block that was last used.
     #[must_use]
-    pub fn holding_registers(&self) -> holding::Registers {
+    pub fn holding_registers(&self) -> holding_block::HoldingRegisters {
         self.holding
     }
 
@@ -348,35 +352,35 @@ impl Hub {
         &mut self,
         now: Duration,
         master: MasterId,
-        block: &holding::Registers,
-    ) -> Result<BlockOutcome, Busy> {
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<BlockOutcome, RegistersBusy> {
         match self.master {
             Some((other, at)) if other != master => {
                 if now.saturating_sub(at) <= MASTER_TIMEOUT {
                     self.second_master = Some(now);
-                    return Err(Busy);
+                    return Err(RegistersBusy);
                 }
-                self.checker = Checker::default();
+                self.checker = HoldingBlockChecker::default();
             }
             Some(_) => {}
-            None => self.checker = Checker::default(),
+            None => self.checker = HoldingBlockChecker::default(),
         }
         let checked = self.checker.accept(block);
         match checked {
             Ok(_) if self.detect_stale_block(now, master) => {
                 self.master = Some((master, now));
-                self.record_refusal(REFUSED_STALE);
+                self.record_refusal(REJECT_REASON_STALE);
                 Ok(BlockOutcome::MayBeOld)
             }
             Ok(cnc_data) => {
                 self.master = Some((master, now));
                 self.holding = *block;
                 self.apply_cnc_data(now, cnc_data);
-                Ok(BlockOutcome::Used)
+                Ok(BlockOutcome::Accepted)
             }
             Err(refused) => {
                 self.record_refusal(refused as u16);
-                Ok(BlockOutcome::Refused(refused))
+                Ok(BlockOutcome::Rejected(refused))
             }
         }
     }
@@ -412,7 +416,7 @@ impl Hub {
     fn apply_cnc_data(&mut self, now: Duration, mut cnc_data: CncData) {
         // A bridge that has yet to say what it runs on is no matter for the PLC.
         if cnc_data.control.engage && self.pinned.is_engage_refused() {
-            self.record_refusal(REFUSED_CALIBRATION);
+            self.record_refusal(REJECT_REASON_CALIBRATION);
         }
         cnc_data.control.engage &= self.pinned.is_engage_allowed();
         cnc_data.control.zero &= self.pinned.is_engage_allowed();
@@ -421,7 +425,7 @@ impl Hub {
     }
 
     /// A master has gone: another need not wait.
-    pub fn release_master(&mut self, master: MasterId) {
+    pub fn unregister_master(&mut self, master: MasterId) {
         if self.master.is_some_and(|(current, _)| current == master) {
             self.master = None;
         }

@@ -12,7 +12,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use serde_json::{Value, json};
 
-use crate::health::IMMEDIATE_MEMBERS;
+use crate::gateway_status::IMMEDIATE_MEMBERS;
 
 /// From one line to the next where nothing changes.
 pub(crate) const JOURNAL_PERIOD: Duration = Duration::from_secs(300);
@@ -66,17 +66,16 @@ impl JournalLimiter {
         if let Some(before) = self.seen.replace(values.to_vec()) {
             let all = IMMEDIATE_MEMBERS.into_iter().zip(values).zip(before);
             for ((name, value), _) in all.filter(|((_, value), before)| value != before) {
-                self.count_change(name.trim_start_matches('/').replace('/', "."), value);
+                self.record_change(name.trim_start_matches('/').replace('/', "."), value);
             }
         }
         let is_requested = !self.pending.is_empty() || self.due.is_none_or(|due| now >= due);
-        is_requested
-            && self.has_allowance(self.with_pending_changes(line.clone()).to_string().len())
+        is_requested && self.has_allowance(self.add_pending_changes(line.clone()).to_string().len())
     }
 
     /// Returns the line to write, with the changes since the last one.
     pub fn take_entry(&mut self, now: Duration, line: Value) -> String {
-        let text = self.with_pending_changes(line).to_string();
+        let text = self.add_pending_changes(line).to_string();
         self.pending.clear();
         self.due = Some(now + self.period);
         self.consume_allowance(text.len());
@@ -90,12 +89,12 @@ impl JournalLimiter {
         if is_allowed {
             self.consume_allowance(message.len());
         } else {
-            self.count_change("message".into(), message.into());
+            self.record_change("message".into(), message.into());
         }
         is_allowed
     }
 
-    fn count_change(&mut self, member: String, value: Value) {
+    fn record_change(&mut self, member: String, value: Value) {
         let changes = self.pending.entry(member).or_default();
         changes.count = changes.count.saturating_add(1);
         if changes.values.len() < MAX_LISTED_VALUES && !changes.values.contains(&value) {
@@ -104,7 +103,7 @@ impl JournalLimiter {
     }
 
     /// Returns `line` with what is pending.
-    fn with_pending_changes(&self, mut line: Value) -> Value {
+    fn add_pending_changes(&self, mut line: Value) -> Value {
         let all = self.pending.iter().map(|(member, changes)| {
             (member.clone(), json!({ "count": changes.count, "values": changes.values }))
         });
@@ -122,16 +121,16 @@ impl JournalLimiter {
     }
 
     fn has_allowance(&self, bytes: usize) -> bool {
-        !self.is_limited || self.allowance >= line_bytes(bytes)
+        !self.is_limited || self.allowance >= bytes_with_line_end(bytes)
     }
 
     fn consume_allowance(&mut self, bytes: usize) {
-        self.allowance = (self.allowance - line_bytes(bytes)).max(0.0);
+        self.allowance = (self.allowance - bytes_with_line_end(bytes)).max(0.0);
     }
 }
 
 /// Returns the bytes of a line with its end.
-fn line_bytes(bytes: usize) -> f64 {
+fn bytes_with_line_end(bytes: usize) -> f64 {
     bytes as f64 + 1.0
 }
 

@@ -14,10 +14,10 @@
 //! | [`hub`] | both blocks, with time as an argument: what is new, what is stale, whose block is taken |
 //! | [`cnc`] | frames for the bridge from what the PLC says, no oftener than the bus permits |
 //! | [`bridge`] | the thread that keeps the line to the bridge |
-//! | [`modbus`] | Modbus TCP |
-//! | [`rtu`] | Modbus RTU on a serial port |
+//! | [`modbus_tcp`] | Modbus TCP |
+//! | [`modbus_rtu`] | Modbus RTU on a serial port |
 //! | [`s7`] | ISO-on-TCP: the small client, and the loop that writes and reads the data block |
-//! | [`health`] | how both ends are, as lines of JSON |
+//! | [`gateway_status`] | how both ends are, as lines of JSON |
 //! | [`journal`] | which of them are written: at most a megabyte a day |
 //! | `backoff` | how long is waited before something is opened again |
 //!
@@ -29,9 +29,9 @@ pub use trueup_client::pinned_calibration;
 pub(crate) mod backoff;
 pub mod bridge;
 pub mod cnc;
-pub mod health;
+pub mod gateway_status;
 pub mod hub;
 pub mod journal;
-pub mod modbus;
-pub mod rtu;
+pub mod modbus_rtu;
+pub mod modbus_tcp;
 pub mod s7;

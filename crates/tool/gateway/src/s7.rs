@@ -14,12 +14,14 @@ use std::{
 };
 
 use trueup_modbus::{
-    holding,
+    holding_block,
     register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN},
 };
 
-use crate::{backoff::Backoff, bridge::SharedHub, health::SharedPlcStatus, hub::MASTER_TIMEOUT};
-use client::{Client, CpuAddress, Error};
+use crate::{
+    backoff::Backoff, bridge::SharedHub, gateway_status::SharedPlcStatus, hub::MASTER_TIMEOUT,
+};
+use client::{CpuAddress, Error, S7Client};
 
 /// Where the holding block begins in the data block, in bytes.
 pub(crate) const HOLDING_OFFSET_BYTES: usize = 64;
@@ -59,14 +61,14 @@ pub fn serve(shared: &SharedHub, target: &BlockExchangeSettings, end: &SharedPlc
     }
     let mut pause = Backoff::default();
     while !shared.is_stop_requested() {
-        let why = match Client::connect(&target.place) {
+        let why = match S7Client::connect(&target.place) {
             Ok(mut client) => {
                 end.update(|end| (end.is_up, end.why) = (true, None));
                 let (why, has_written) = exchange_blocks(shared, target, &mut client, end);
                 if has_written {
                     pause = Backoff::default();
                 }
-                shared.lock_hub().release_master(MASTER_ID);
+                shared.lock_hub().unregister_master(MASTER_ID);
                 why
             }
             Err(error) => Some(error),
@@ -82,7 +84,7 @@ pub fn serve(shared: &SharedHub, target: &BlockExchangeSettings, end: &SharedPlc
 fn exchange_blocks(
     shared: &SharedHub,
     target: &BlockExchangeSettings,
-    client: &mut Client,
+    client: &mut S7Client,
     end: &SharedPlcStatus,
 ) -> (Option<Error>, bool) {
     let mut has_written = false;
@@ -130,11 +132,11 @@ fn exchange_blocks(
 /// The block that was last read. Memory keeps a block long after the program that wrote it has stopped: only
 /// a change counts as sent now.
 #[derive(Default)]
-struct BlockChangeDetector(Option<holding::Registers>);
+struct BlockChangeDetector(Option<holding_block::HoldingRegisters>);
 
 impl BlockChangeDetector {
     /// Returns whether the PLC has sent this since the last look: not at the first, and not what stands there.
-    fn detect_change(&mut self, block: holding::Registers) -> bool {
+    fn detect_change(&mut self, block: holding_block::HoldingRegisters) -> bool {
         self.0.replace(block).is_some_and(|before| before != block)
     }
 }
@@ -144,7 +146,7 @@ impl BlockChangeDetector {
 /// # Errors
 /// The CPU cannot be reached, has no such data block, or has not kept what was written.
 pub fn write_and_verify(shared: &SharedHub, target: &BlockExchangeSettings) -> Result<(), Error> {
-    let mut client = Client::connect(&target.place)?;
+    let mut client = S7Client::connect(&target.place)?;
     let written = encode_input_block(shared, target.mode);
     client.write(target.db, 0, &written)?;
     let mut read = vec![0; written.len()];
@@ -165,7 +167,7 @@ fn encode_registers(block: &[u16]) -> Vec<u8> {
     block.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn decode_registers(bytes: &[u8; HOLDING_BYTES]) -> holding::Registers {
+fn decode_registers(bytes: &[u8; HOLDING_BYTES]) -> holding_block::HoldingRegisters {
     let mut block = [0; WHOLE_HOLDING_LEN];
     for (place, word) in block.iter_mut().zip(bytes.as_chunks::<2>().0) {
         *place = u16::from_be_bytes(*word);
@@ -181,7 +183,7 @@ mod tests {
     };
     use std::sync::{Arc, atomic::AtomicBool};
     use trueup_client::pinned_calibration::{CalibrationPolicy, PinnedCalibration};
-    use trueup_modbus::holding::CncData;
+    use trueup_modbus::holding_block::CncData;
 
     /// A data block of before tool and conditions ends at byte 97: what reads beyond it gets an error of its item.
     #[test]
@@ -209,7 +211,7 @@ mod tests {
             period: Duration::from_millis(1),
             mode: InputBlockContent::Offsets,
         };
-        let mut client = Client::connect(&target.place).expect("a CPU");
+        let mut client = S7Client::connect(&target.place).expect("a CPU");
         // It goes at its end.
         let (why, has_written) =
             exchange_blocks(&shared, &target, &mut client, &SharedPlcStatus::default());

@@ -23,7 +23,7 @@ use trueup_gateway::{
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
 use trueup_link::{frames, receiver::CncReceiver, slcan::Port};
-use trueup_modbus::{holding::CncData, input::InputBlock};
+use trueup_modbus::{holding_block::CncData, input_block::InputBlock};
 
 const MS: Duration = Duration::from_millis(1);
 /// The oldest that may be used, and the arithmetic of a busy computer.

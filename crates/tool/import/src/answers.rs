@@ -7,7 +7,7 @@ use crate::{number::DecimalSeparator, timestamp::DateOrder};
 
 /// The circle of a table that has angles alone.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Circle {
+pub struct CircleGeometry {
     /// The commanded radius.
     pub radius_mm: f64,
     /// The commanded centre along both axes.
@@ -20,7 +20,7 @@ pub struct Circle {
 
 /// The user's answers about a file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Answers {
+pub struct ImportAnswers {
     /// The sign before the decimals.
     pub decimal: Option<DecimalSeparator>,
     /// The order of the numbers of a date.
@@ -42,7 +42,7 @@ pub struct Answers {
     /// Every second run of the file goes back.
     pub there_and_back: Option<bool>,
     /// The circle of a table of angles.
-    pub circle: Option<Circle>,
+    pub circle: Option<CircleGeometry>,
     /// Columns that a map names: a file of its kind need not have them.
     pub of_map: Vec<String>,
 }
@@ -159,7 +159,7 @@ impl DateOrder {
     }
 }
 
-impl Answers {
+impl ImportAnswers {
     /// Takes `value` as the answer to a question about `topic`.
     ///
     /// # Errors

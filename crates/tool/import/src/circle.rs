@@ -5,7 +5,7 @@
 //! ```
 
 use crate::{
-    answers::{Answers, Circle},
+    answers::{CircleGeometry, ImportAnswers},
     column_meaning::slugify,
     convert::ConvertedColumn,
     layout::SourceTable,
@@ -17,16 +17,19 @@ const RADIAL_DEVIATION_COLUMN: &str = "measured_dr_um";
 /// Beginnings of the names of columns of angles.
 const ANGLE_PREFIXES: &[&str] = &["angle", "winkel", "phi", "theta"];
 /// Parts of the names of columns of deviations.
-const DEVIATION_WORDS: &[&str] =
+const DEVIATION_KEYWORDS: &[&str] =
     &["dr", "radial", "radius", "deviation", "abweichung", "error", "fehler"];
 
 /// Returns the answers with the name of the deviation, which is of no axis here, where the user has not named it.
-pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> Answers {
+pub(crate) fn with_deviation_answer(
+    layout: &SourceTable,
+    answers: &ImportAnswers,
+) -> ImportAnswers {
     let mut answers = answers.clone();
     let is_named = |(_, name): &(String, String)| name == RADIAL_DEVIATION_COLUMN;
     if answers.circle.is_some() && !answers.columns.iter().any(is_named) {
         let is_one = |header: &&String| {
-            slugify(header).split('_').any(|word| DEVIATION_WORDS.contains(&word))
+            slugify(header).split('_').any(|word| DEVIATION_KEYWORDS.contains(&word))
         };
         let headers = layout.columns.iter().map(|column| &column.header);
         let found = headers
@@ -44,7 +47,7 @@ pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> 
 /// There is no column of angles, or none of deviations: the text names the option.
 pub(crate) fn convert_angles_to_positions(
     columns: &mut Vec<ConvertedColumn>,
-    circle: &Circle,
+    circle: &CircleGeometry,
 ) -> Result<(), String> {
     let is_angle = |name: &str| {
         let of_unit = name.ends_with("_deg") || name.ends_with("_rad");
@@ -56,7 +59,7 @@ pub(crate) fn convert_angles_to_positions(
         .ok_or("there is no column of angles: name it, as in --column 1=angle_deg")?;
     let is_deviation = |name: &str| {
         let of_unit = name.ends_with("_um") || name.ends_with("_mm");
-        of_unit && name.split('_').any(|word| DEVIATION_WORDS.contains(&word))
+        of_unit && name.split('_').any(|word| DEVIATION_KEYWORDS.contains(&word))
     };
     let deviation = columns.iter().position(|column| is_deviation(&column.name)).ok_or(
         "there is no column of radial deviations: name it, as in --column 2=measured_dr_um",

@@ -6,7 +6,7 @@ use trueup_machine::InputFileError;
 
 use crate::{
     answers::{ImportError, Question, QuestionTopic},
-    grid::{Cell, CellContent, Row},
+    cell_grid::{Cell, CellContent, CellRow},
     timestamp::{self, DateOrder, Timestamp, TwoPartTimeFormat},
     unit::round_to_significant_digits,
 };
@@ -40,7 +40,7 @@ pub(crate) fn detect_unix_time_scale(values: &[f64]) -> Option<(f64, &'static st
 /// # Errors
 /// Two orders make different times: a question.
 pub(crate) fn detect_date_order(
-    rows: &[Row],
+    rows: &[CellRow],
     columns: &[usize],
     stated: Option<DateOrder>,
     path: &Path,
@@ -99,13 +99,13 @@ pub(crate) fn detect_date_order(
 /// # Errors
 /// They may be of a stopwatch: a question.
 pub(crate) fn detect_two_part_format(
-    rows: &[Row],
+    rows: &[CellRow],
     at: usize,
     header: &str,
     form: &str,
     path: &Path,
 ) -> Result<TwoPartTimeFormat, ImportError> {
-    const TIME_OF_DAY_WORDS: [&str; 7] =
+    const TIME_OF_DAY_KEYWORDS: [&str; 7] =
         ["uhr", "clock", "day", "heure", "hora", "ora", "tageszeit"];
     if !form.is_empty() {
         let is_minutes = form.to_lowercase().starts_with('m');
@@ -134,7 +134,7 @@ pub(crate) fn detect_two_part_format(
     if numbers.iter().any(|(first, _)| *first >= 24) {
         return Ok(TwoPartTimeFormat::MinutesSeconds);
     }
-    if TIME_OF_DAY_WORDS.iter().any(|word| header.to_lowercase().contains(word)) {
+    if TIME_OF_DAY_KEYWORDS.iter().any(|word| header.to_lowercase().contains(word)) {
         return Ok(TwoPartTimeFormat::HoursMinutes);
     }
     // A working day does not begin in the night, and a stopwatch begins near 0.
@@ -168,7 +168,7 @@ const SECONDS_PER_HOUR: f64 = 3600.0;
 /// The clock steps by an hour, which may be summer time: a question. It runs back: an error.
 pub(crate) fn compute_elapsed_seconds(
     stamps: &[Option<Timestamp>],
-    rows: &[Row],
+    rows: &[CellRow],
     at: usize,
     runs: Option<&[f64]>,
     summer_time: Option<bool>,
@@ -214,7 +214,7 @@ pub(crate) struct ClockJumps {
 /// Follows a clock row by row.
 pub(crate) fn accumulate_elapsed_seconds(
     raw: &[f64],
-    rows: &[Row],
+    rows: &[CellRow],
     at: usize,
     runs: Option<&[f64]>,
     wall: ClockJumps,
@@ -286,7 +286,7 @@ pub(crate) fn accumulate_elapsed_seconds(
     Ok(ElapsedSeconds { values, notes })
 }
 
-fn backward_clock_error(rows: &[Row], row: usize, at: usize, path: &Path) -> InputFileError {
+fn backward_clock_error(rows: &[CellRow], row: usize, at: usize, path: &Path) -> InputFileError {
     InputFileError::new(
         rows[row].location(path, at),
         format!("the time runs back to {}", rows[row].cells[at].text()),

@@ -70,7 +70,7 @@ impl TargetColumn {
 
 /// A header taken apart.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Header {
+pub(crate) struct ParsedHeader {
     /// The name without the unit.
     pub(crate) name: String,
     /// The unit as written in the file; empty where there is none.
@@ -78,9 +78,9 @@ pub(crate) struct Header {
 }
 
 /// Splits `Temperatur Spindel [°C]`, `Zeit / s`, `Weg in mm`, `temp_bed_f` into name and unit.
-pub(crate) fn split_header(header: &str) -> Header {
+pub(crate) fn split_header(header: &str) -> ParsedHeader {
     let header = header.trim().trim_start_matches('#').trim();
-    let of = |name: &str, unit: &str| Header {
+    let of = |name: &str, unit: &str| ParsedHeader {
         name: name.trim().trim_end_matches(':').trim().to_string(),
         unit: unit.trim().to_string(),
     };
@@ -187,14 +187,14 @@ fn is_only_axis(words: &[String]) -> bool {
         let is_axis = axis_in_words(std::slice::from_ref(word)).is_some();
         is_axis
             || vocabulary::contains_word(STOP_WORDS, word)
-            || vocabulary::contains_word(POSITION_WORDS, word)
+            || vocabulary::contains_word(COMMANDED_POSITION_KEYWORDS, word)
     })
 }
 
 /// Returns where a thermometer is, by the words of its column: `temp_Lager_vorn_C` is `lager_vorn`; without any: `1`.
 fn thermometer_location(words: &[String]) -> String {
     let is_place = |word: &&str| {
-        !vocabulary::contains_word(TEMPERATURE_WORDS, word) && !["t", "c"].contains(word)
+        !vocabulary::contains_word(TEMPERATURE_KEYWORDS, word) && !["t", "c"].contains(word)
     };
     let place: Vec<&str> = words.iter().map(String::as_str).filter(is_place).collect();
     if place.is_empty() { "1".into() } else { place.join("_") }
@@ -207,7 +207,9 @@ fn with_unit_suffix(name: &str, dimension: Option<Dimension>) -> String {
 
 /// Returns whether a word belongs to a number of rows.
 fn is_row_number_word(word: &str) -> bool {
-    [ROW_WORDS, NUMBER_WORDS, STOP_WORDS].iter().any(|list| vocabulary::contains_word(list, word))
+    [ROW_KEYWORDS, NUMBER_KEYWORDS, STOP_WORDS]
+        .iter()
+        .any(|list| vocabulary::contains_word(list, word))
 }
 
 fn is_spindle_word(word: &str) -> bool {
@@ -215,7 +217,8 @@ fn is_spindle_word(word: &str) -> bool {
 }
 
 /// The first words of columns that other commands write.
-const OUTPUT_PREFIXES: [&str; 6] = ["predicted", "bridge", "residual", "check", "offset", "gauge"];
+const OUTPUT_COLUMN_PREFIXES: [&str; 6] =
+    ["predicted", "bridge", "residual", "check", "offset", "gauge"];
 
 /// Returns what the column `name` means, its values being in `unit` where that is known.
 pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> ColumnMeaning {
@@ -230,7 +233,7 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
     let is_length = matches!(dimension, None | Some(Dimension::Length));
     let is_identifier = header.contains('_') && slugify(header) == header;
     // What other commands write, and names of the user's own, stay as they are.
-    let is_own = is_identifier && OUTPUT_PREFIXES.contains(&words[0].as_str());
+    let is_own = is_identifier && OUTPUT_COLUMN_PREFIXES.contains(&words[0].as_str());
     let own_name =
         || if is_identifier { header.into() } else { with_unit_suffix(&slugged, dimension) };
     let other = || ColumnMeaning::Other(own_name());
@@ -242,30 +245,30 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
         };
     }
     let axis = axis_in_words(&words);
-    let is_temperature = has(TEMPERATURE_WORDS) || (dimension.is_some() && !is_identifier);
+    let is_temperature = has(TEMPERATURE_KEYWORDS) || (dimension.is_some() && !is_identifier);
     if matches!(dimension, None | Some(Dimension::Temperature)) && is_temperature {
         return known(&format!("temp_{}_c", thermometer_location(&words)));
     }
-    if matches!(dimension, None | Some(Dimension::Time)) && has(TIME_WORDS) {
+    if matches!(dimension, None | Some(Dimension::Time)) && has(TIME_KEYWORDS) {
         return known("time_s");
     }
-    if has(DIRECTION_WORDS) && dimension.is_none() {
+    if has(DIRECTION_KEYWORDS) && dimension.is_none() {
         return axis.map_or(ColumnMeaning::Direction, |axis| known(&format!("dir_{axis}")));
     }
-    if dimension.is_none() && has(DATE_WORDS) {
+    if dimension.is_none() && has(DATE_KEYWORDS) {
         return ColumnMeaning::Date;
     }
     let speed_words = words
         .iter()
-        .any(|word| !is_spindle_word(word) && vocabulary::contains_word(SPEED_WORDS, word));
-    let is_in_speed_units = dimension == Some(Dimension::Speed) && has(SPEED_WORDS);
+        .any(|word| !is_spindle_word(word) && vocabulary::contains_word(SPEED_KEYWORDS, word));
+    let is_in_speed_units = dimension == Some(Dimension::Speed) && has(SPEED_KEYWORDS);
     if is_in_speed_units || (dimension.is_none() && speed_words) {
         return known("spindle_rpm");
     }
-    if matches!(dimension, None | Some(Dimension::Feed)) && has(FEED_WORDS) {
+    if matches!(dimension, None | Some(Dimension::Feed)) && has(FEED_KEYWORDS) {
         return known("feed_mm_per_min");
     }
-    if matches!(dimension, None | Some(Dimension::Force)) && has(LOAD_WORDS) {
+    if matches!(dimension, None | Some(Dimension::Force)) && has(LOAD_KEYWORDS) {
         return known("load_n");
     }
     let may_be_sensor = match dimension {
@@ -274,14 +277,15 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
         None => !is_identifier,
         _ => false,
     };
-    if may_be_sensor && has(SENSOR_WORDS) {
+    if may_be_sensor && has(SENSOR_KEYWORDS) {
         return known("sensor_counts");
     }
-    if is_length && has(ELONGATION_WORDS) {
+    if is_length && has(ELONGATION_KEYWORDS) {
         return known("measured_elongation_um");
     }
     let is_error = words.iter().any(|word| ["dx", "dy", "dz"].contains(&word.as_str()));
-    if is_length && (has(MEASURED_WORDS) || has(SENSOR_WORDS) || is_error) && !has(POSITION_WORDS) {
+    let is_reading = has(MEASURED_VALUE_KEYWORDS) || has(SENSOR_KEYWORDS) || is_error;
+    if is_length && is_reading && !has(COMMANDED_POSITION_KEYWORDS) {
         return match axis {
             // `Fehler X`: the axis is stated; `Messuhr X` too.
             Some(axis) => known(&format!("measured_d{axis}_um")),
@@ -289,29 +293,29 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
         };
     }
     let ends_with_actual = words.iter().any(|word| word.ends_with("ist") && axis.is_some());
-    if is_length && has(ACTUAL_WORDS) || ends_with_actual {
+    if is_length && has(ACTUAL_POSITION_KEYWORDS) || ends_with_actual {
         return ColumnMeaning::Actual(axis);
     }
     if is_length && axis.is_some() && is_only_axis(&words) {
         return known(&format!("{}_mm", axis.unwrap_or('x')));
     }
     // `Pos-Nr.` counts positions, and `Lauf-Nr.` is the number of a run.
-    if dimension.is_none() && has(POSITION_WORDS) && has(NUMBER_WORDS) {
+    if dimension.is_none() && has(COMMANDED_POSITION_KEYWORDS) && has(NUMBER_KEYWORDS) {
         return ColumnMeaning::Nothing;
     }
-    if is_length && has(POSITION_WORDS) {
+    if is_length && has(COMMANDED_POSITION_KEYWORDS) {
         return axis.map_or(ColumnMeaning::Position, |axis| known(&format!("{axis}_mm")));
     }
     if dimension == Some(Dimension::Angle) {
         let rotary = words.iter().find(|word| ["a", "b", "c"].contains(&word.as_str()));
         return rotary.map_or_else(other, |axis| known(&format!("{axis}_deg")));
     }
-    if dimension.is_none() && has(RUN_WORDS) {
+    if dimension.is_none() && has(RUN_KEYWORDS) {
         return known("run");
     }
     // `Punkt Nr.` counts rows, `Werkzeug Nr.` is a quantity.
-    let is_row_number = has(NUMBER_WORDS) && words.iter().all(|word| is_row_number_word(word));
-    if dimension.is_none() && (has(IGNORED_WORDS) || is_row_number || slugged.is_empty()) {
+    let is_row_number = has(NUMBER_KEYWORDS) && words.iter().all(|word| is_row_number_word(word));
+    if dimension.is_none() && (has(IGNORED_KEYWORDS) || is_row_number || slugged.is_empty()) {
         return ColumnMeaning::Nothing;
     }
     other()
@@ -335,9 +339,9 @@ pub(crate) fn parse_pass_column(name: &str) -> Option<(Option<f64>, Option<u32>)
         if let Some(found) = vocabulary::parse_direction(&letters) {
             way = Some(found);
             is_named = true;
-        } else if vocabulary::contains_word(RUN_WORDS, &plain) {
+        } else if vocabulary::contains_word(RUN_KEYWORDS, &plain) {
             is_named = true;
-        } else if vocabulary::contains_word(MEASURED_WORDS, &plain) {
+        } else if vocabulary::contains_word(MEASURED_VALUE_KEYWORDS, &plain) {
             is_measured = true;
         } else if ["x", "y", "z"].contains(&plain.as_str()) {
             has_axis = true;

@@ -5,11 +5,11 @@ use std::path::Path;
 use trueup_machine::InputFileError;
 
 use crate::{
-    answers::{Answers, ImportError},
-    cells::parse_number_with_unit,
+    answers::{ImportAnswers, ImportError},
+    cell_grid::Cell,
+    cell_kinds::parse_number_with_unit,
     clock::{self, ClockJumps, TimeFormat},
-    grid::Cell,
-    import_mapping::{ColumnMapping, ColumnRole, target_column, unit_question},
+    column_mapping::{ColumnMapping, ColumnRole, target_column, unit_question},
     layout::SourceTable,
     number::{self, DecimalSeparator},
     timestamp::{DateOrder, Timestamp, TwoPartTimeFormat},
@@ -44,14 +44,16 @@ pub(crate) fn convert(
     layout: &SourceTable,
     plans: &[ColumnMapping],
     decimal: DecimalSeparator,
-    answers: &Answers,
+    answers: &ImportAnswers,
     path: &Path,
 ) -> Result<ConvertedRun, ImportError> {
     let table = TableConverter { layout, plans, decimal, path };
     let mut notes = Vec::new();
     let mut columns = Vec::new();
     let dates: Vec<usize> = (0..plans.len())
-        .filter(|at| matches!(plans[*at].role, ColumnRole::DateOf | ColumnRole::Moments { .. }))
+        .filter(|at| {
+            matches!(plans[*at].role, ColumnRole::AssociatedDate | ColumnRole::Timestamps { .. })
+        })
         .collect();
     let order = clock::detect_date_order(&layout.rows, &dates, answers.date, path)?;
     let runs = plans
@@ -152,7 +154,7 @@ impl TableConverter<'_> {
         plan: &ColumnMapping,
         order: Option<DateOrder>,
         runs: Option<&[f64]>,
-        answers: &Answers,
+        answers: &ImportAnswers,
         notes: &mut Vec<String>,
     ) -> Result<Option<ConvertedColumn>, ImportError> {
         let column = |name: &str, from: &str, to: &str, values| {
@@ -165,8 +167,8 @@ impl TableConverter<'_> {
             }))
         };
         match &plan.role {
-            ColumnRole::Ignored(_) | ColumnRole::DateOf => Ok(None),
-            ColumnRole::Bare(target) => {
+            ColumnRole::Ignored(_) | ColumnRole::AssociatedDate => Ok(None),
+            ColumnRole::Unconverted(target) => {
                 column(&target.name, "", target.unit(), self.parse_numbers(at, None)?)
             }
             ColumnRole::Number { target, unit, per_base } => {
@@ -191,7 +193,7 @@ impl TableConverter<'_> {
             ColumnRole::Switch(target) => {
                 let help = "a switch is on or off, 1 or 0";
                 let word = |text: &str| {
-                    vocabulary::parse_switch(text).or(match text {
+                    vocabulary::parse_on_off(text).or(match text {
                         "1" => Some(1.0),
                         "0" => Some(0.0),
                         _ => None,
@@ -217,8 +219,8 @@ impl TableConverter<'_> {
             ColumnRole::Elapsed { target, unit } => {
                 self.convert_elapsed_column(at, target.name.as_str(), *unit, runs, answers, notes)
             }
-            ColumnRole::Moments { target, form } => {
-                let pair = self.two_part_format(at, form)?;
+            ColumnRole::Timestamps { target, form } => {
+                let pair = self.two_part_time_format(at, form)?;
                 let reading = TimeFormat { order: order.unwrap_or(DateOrder::Year), pair };
                 let stamps = self.parse_timestamps(at, reading)?;
                 let found = clock::compute_elapsed_seconds(
@@ -256,11 +258,17 @@ impl TableConverter<'_> {
     /// Returns the column of dates that belongs to the times in `at`.
     fn date_column(&self, at: usize) -> Option<usize> {
         let dates = (0..self.plans.len()).filter(|other| *other != at);
-        dates.into_iter().find(|other| matches!(self.plans[*other].role, ColumnRole::DateOf))
+        dates
+            .into_iter()
+            .find(|other| matches!(self.plans[*other].role, ColumnRole::AssociatedDate))
     }
 
     /// Returns how the times in `at` with two numbers are meant: as hours and minutes where dates belong to them.
-    fn two_part_format(&self, at: usize, form: &str) -> Result<TwoPartTimeFormat, ImportError> {
+    fn two_part_time_format(
+        &self,
+        at: usize,
+        form: &str,
+    ) -> Result<TwoPartTimeFormat, ImportError> {
         if self.date_column(at).is_some() {
             return Ok(TwoPartTimeFormat::HoursMinutes);
         }
@@ -318,7 +326,7 @@ impl TableConverter<'_> {
         name: &str,
         unit: Option<Unit>,
         runs: Option<&[f64]>,
-        answers: &Answers,
+        answers: &ImportAnswers,
         notes: &mut Vec<String>,
     ) -> Result<Option<ConvertedColumn>, ImportError> {
         let header = &self.layout.columns[at].header;

@@ -1,23 +1,23 @@
 //! Files of instruments and controls that are no plain table.
 
-mod comp;
-mod control_tables;
+mod comp_file;
+mod compensation_tables;
 mod height_map;
 mod probe_log;
-mod rtl;
-mod unsupported;
+mod renishaw_rtl;
+mod unsupported_formats;
 
 use std::path::Path;
 
 use crate::{
-    answers::{Answers, ImportError},
+    answers::{ImportAnswers, ImportError},
+    cell_grid::{Cell, CellContent},
     column_meaning::{ColumnMeaning, TargetColumn},
-    grid::{Cell, CellContent},
     layout::{SourceColumn, SourceTable},
 };
 use trueup_machine::Location;
 
-pub(crate) use unsupported::{detect_cycle_log, unsupported_format_error};
+pub(crate) use unsupported_formats::{detect_cycle_log, unsupported_format_error};
 
 /// Returns the name of the form and its table, where `text` has one of these forms.
 ///
@@ -25,44 +25,44 @@ pub(crate) use unsupported::{detect_cycle_log, unsupported_format_error};
 /// It has one, and breaks its rules or leaves a question open.
 pub(crate) fn parse_known_format(
     text: &str,
-    answers: &Answers,
+    answers: &ImportAnswers,
     path: &Path,
 ) -> Result<Option<(&'static str, SourceTable)>, ImportError> {
-    if height_map::is_reprap(text) {
-        return Ok(Some(("RepRapFirmware height map", height_map::parse_reprap(text, path)?)));
+    if height_map::is_reprap_map(text) {
+        return Ok(Some(("RepRapFirmware height map", height_map::parse_reprap_map(text, path)?)));
     }
-    if height_map::is_klipper(text) {
-        return Ok(Some(("Klipper bed mesh", height_map::parse_klipper(text, path)?)));
+    if height_map::is_klipper_map(text) {
+        return Ok(Some(("Klipper bed mesh", height_map::parse_klipper_map(text, path)?)));
     }
-    if probe_log::is_klipper(text) {
-        return Ok(Some(("log of Klipper's probe", probe_log::parse_klipper(text, path)?)));
+    if probe_log::is_klipper_log(text) {
+        return Ok(Some(("log of Klipper's probe", probe_log::parse_klipper_log(text, path)?)));
     }
-    if probe_log::is_grbl(text) {
-        return Ok(Some(("log of GRBL's probe", probe_log::parse_grbl(text, answers, path)?)));
+    if probe_log::is_grbl_log(text) {
+        return Ok(Some(("log of GRBL's probe", probe_log::parse_grbl_log(text, answers, path)?)));
     }
-    if probe_log::is_linuxcnc(text) {
+    if probe_log::is_linuxcnc_log(text) {
         return Ok(Some((
             "probe file of LinuxCNC",
-            probe_log::parse_linuxcnc(text, answers, path)?,
+            probe_log::parse_linuxcnc_log(text, answers, path)?,
         )));
     }
-    if rtl::matches_format(text) {
-        return Ok(Some(("Renishaw target data", rtl::parse(text, answers, path)?)));
+    if renishaw_rtl::matches_format(text) {
+        return Ok(Some(("Renishaw target data", renishaw_rtl::parse(text, answers, path)?)));
     }
-    if control_tables::is_siemens(text) {
+    if compensation_tables::is_siemens_table(text) {
         return Ok(Some((
             "SINUMERIK encoder compensation",
-            control_tables::parse_siemens(text, path)?,
+            compensation_tables::parse_siemens_table(text, path)?,
         )));
     }
-    if control_tables::is_heidenhain(text) {
+    if compensation_tables::is_heidenhain_table(text) {
         return Ok(Some((
             "HEIDENHAIN compensation table",
-            control_tables::parse_heidenhain(text, path)?,
+            compensation_tables::parse_heidenhain_table(text, path)?,
         )));
     }
-    if comp::matches_format(path) {
-        return Ok(Some(("LinuxCNC compensation file", comp::parse(text, path)?)));
+    if comp_file::matches_format(path) {
+        return Ok(Some(("LinuxCNC compensation file", comp_file::parse(text, path)?)));
     }
     Ok(None)
 }

@@ -14,13 +14,13 @@ use toml_edit::{Document, DocumentMut, Item, Table, TableLike, Value, value};
 use trueup_machine::{InputFileError, Location};
 
 use crate::{
-    answers::{Answers, QuestionTopic},
+    answers::{ImportAnswers, QuestionTopic},
     number::DecimalSeparator,
     timestamp::DateOrder,
 };
 
 /// The keys of a map and of a column in it.
-const KEYS: [&str; 8] =
+const MAP_KEYS: [&str; 8] =
     ["decimal", "date", "encoding", "sheet", "counts_per_v", "summer_time", "runs", "columns"];
 const COLUMN_KEYS: [&str; 3] = ["name", "unit", "negate"];
 
@@ -28,14 +28,14 @@ const COLUMN_KEYS: [&str; 3] = ["name", "unit", "negate"];
 ///
 /// # Errors
 /// It is no TOML, has a key that is not known, or a value that a key cannot have.
-pub fn parse(text: &str, path: &Path) -> Result<Answers, InputFileError> {
+pub fn parse(text: &str, path: &Path) -> Result<ImportAnswers, InputFileError> {
     let place = |span: Option<std::ops::Range<usize>>| {
         Location::from_byte_offset(path, text, span.map_or(0, |span| span.start))
     };
     let document = Document::parse(text)
         .map_err(|error| InputFileError::new(place(error.span()), error.message().to_string()))?;
     let bad = |item: &Item, rule: String| InputFileError::new(place(item.span()), rule);
-    let mut answers = Answers::default();
+    let mut answers = ImportAnswers::default();
     for (key, item) in document.iter() {
         let word = || item.as_str().ok_or_else(|| bad(item, format!("{key} must be a text")));
         let taken = match key {
@@ -71,14 +71,14 @@ pub fn parse(text: &str, path: &Path) -> Result<Answers, InputFileError> {
                 }
                 Ok(())
             }
-            _ => Err(format!("{key} is no key of a map; there are {}", KEYS.join(", "))),
+            _ => Err(format!("{key} is no key of a map; there are {}", MAP_KEYS.join(", "))),
         };
         taken.map_err(|rule| bad(item, rule))?;
     }
     Ok(answers)
 }
 
-fn parse_column(header: &str, item: &Item, answers: &mut Answers) -> Result<(), String> {
+fn parse_column(header: &str, item: &Item, answers: &mut ImportAnswers) -> Result<(), String> {
     let table = item.as_table_like().ok_or("a column must be a table with name and unit")?;
     answers.of_map.push(header.into());
     for (key, item) in table.iter() {
@@ -107,8 +107,8 @@ fn parse_column(header: &str, item: &Item, answers: &mut Answers) -> Result<(), 
 ///
 /// # Errors
 /// `text` is no map: [`parse`] says so first.
-pub fn merge_answers(text: &str, answers: &Answers) -> Result<String, String> {
-    const FILE_HEADER: &str = "# How `trueup import --map` reads this kind of file. Edit it as you like: name = \"-\" leaves a column out.\n";
+pub fn merge_answers(text: &str, answers: &ImportAnswers) -> Result<String, String> {
+    const MAP_FILE_HEADER: &str = "# How `trueup import --map` reads this kind of file. Edit it as you like: name = \"-\" leaves a column out.\n";
     let is_new = text.trim().is_empty();
     let mut document: DocumentMut =
         text.parse().map_err(|error: toml_edit::TomlError| error.to_string())?;
@@ -153,7 +153,7 @@ pub fn merge_answers(text: &str, answers: &Answers) -> Result<String, String> {
         add(header, "negate", true.into());
     }
     let body = document.to_string();
-    Ok(if is_new { format!("{FILE_HEADER}{body}") } else { body })
+    Ok(if is_new { format!("{MAP_FILE_HEADER}{body}") } else { body })
 }
 
 #[cfg(test)]
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn a_map_gives_back_what_was_answered_and_keeps_what_is_there() {
-        let mut answers = Answers { negate: vec!["Uhr".into()], ..Answers::default() };
+        let mut answers = ImportAnswers { negate: vec!["Uhr".into()], ..ImportAnswers::default() };
         for (topic, value) in [
             (QuestionTopic::Decimal, "comma"),
             (QuestionTopic::Date, "mdy"),
@@ -175,7 +175,7 @@ mod tests {
         }
         let text = merge_answers("", &answers).expect("a map");
         let of_map = vec!["Messuhr [µm]".into(), "Uhr".into()];
-        let expected = Answers { of_map, ..answers.clone() };
+        let expected = ImportAnswers { of_map, ..answers.clone() };
         assert_eq!(parse(&text, Path::new("m.toml")), Ok(expected), "{text}");
         let edited = format!("# mine\n{}", text.replace("measured_dx_um", "measured_dy_um"));
         let again = merge_answers(&edited, &answers).expect("a map");

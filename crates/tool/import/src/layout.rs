@@ -5,8 +5,8 @@ use std::path::Path;
 use trueup_machine::{InputFileError, Location};
 
 use crate::{
+    cell_grid::{Cell, CellContent, CellGrid, CellRow, is_comment},
     column_meaning::{self, ColumnMeaning},
-    grid::{Cell, CellContent, Grid, Row, is_comment},
     number, timestamp, unit,
 };
 
@@ -26,7 +26,7 @@ pub(crate) struct SourceColumn {
 #[derive(Clone, Debug)]
 pub(crate) struct SourceTable {
     pub(crate) columns: Vec<SourceColumn>,
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Vec<CellRow>,
     /// Omissions and assumptions, a sentence each.
     pub(crate) notes: Vec<String>,
 }
@@ -50,7 +50,7 @@ enum RowKind {
     Data,
 }
 
-fn classify_row(row: &Row) -> RowKind {
+fn classify_row(row: &CellRow) -> RowKind {
     let Some(first) = row.cells.iter().find(|cell| !cell.is_empty()) else { return RowKind::Blank };
     if is_comment(&first.text()) {
         return RowKind::Comment;
@@ -75,7 +75,7 @@ const MIN_SECOND_TABLE_ROWS: usize = 3;
 ///
 /// # Errors
 /// There is no table of at least two columns, or there are two.
-pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, InputFileError> {
+pub(crate) fn find_table(grid: &CellGrid, path: &Path) -> Result<SourceTable, InputFileError> {
     let mut kinds: Vec<RowKind> = grid.rows.iter().map(classify_row).collect();
     reclassify_numeric_header(grid, &mut kinds);
     let blocks = find_blocks(&grid.rows, &kinds);
@@ -144,7 +144,7 @@ pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, InputF
 }
 
 /// A header with numbers in it, `Position; 1; 2; 3`, has a word where the row below has a number.
-fn reclassify_numeric_header(grid: &Grid, kinds: &mut [RowKind]) {
+fn reclassify_numeric_header(grid: &CellGrid, kinds: &mut [RowKind]) {
     let Some(first) = kinds.iter().position(|kind| *kind == RowKind::Data) else { return };
     let Some(below) = grid.rows[first + 1..].iter().find(|row| classify_row(row) != RowKind::Blank)
     else {
@@ -168,7 +168,7 @@ struct RowBlock {
     widest: usize,
 }
 
-fn find_blocks(rows: &[Row], kinds: &[RowKind]) -> Vec<RowBlock> {
+fn find_blocks(rows: &[CellRow], kinds: &[RowKind]) -> Vec<RowBlock> {
     let mut blocks: Vec<RowBlock> = Vec::new();
     let mut is_open = false;
     for (at, kind) in kinds.iter().enumerate() {
@@ -198,7 +198,7 @@ fn find_blocks(rows: &[Row], kinds: &[RowKind]) -> Vec<RowBlock> {
 fn collect_rows_under_header(
     blocks: &[RowBlock],
     block: &RowBlock,
-    grid: &Grid,
+    grid: &CellGrid,
     head: usize,
 ) -> Vec<usize> {
     let first = block.rows[0];
@@ -218,13 +218,13 @@ fn collect_rows_under_header(
 }
 
 /// Returns the number of cells up to the last one that is not empty.
-fn used_cell_count(row: &Row) -> usize {
+fn used_cell_count(row: &CellRow) -> usize {
     row.cells.iter().rposition(|cell| !cell.is_empty()).map_or(0, |last| last + 1)
 }
 
 /// Returns the columns, and the row in which the header stands (`first` where there is none).
 fn find_headers(
-    grid: &Grid,
+    grid: &CellGrid,
     kinds: &[RowKind],
     first: usize,
     path: &Path,
@@ -290,8 +290,8 @@ fn find_headers(
 }
 
 /// Leaves out rows at the end that are no readings: `Mittelwert`, `max`.
-fn drop_statistics_rows(rows: &mut Vec<Row>, notes: &mut Vec<String>) {
-    const STATISTICS_WORDS: [&str; 18] = [
+fn drop_statistics_rows(rows: &mut Vec<CellRow>, notes: &mut Vec<String>) {
+    const STATISTICS_KEYWORDS: [&str; 18] = [
         "mittelwert",
         "mittel",
         "mean",
@@ -316,7 +316,7 @@ fn drop_statistics_rows(rows: &mut Vec<Row>, notes: &mut Vec<String>) {
     {
         let text = cell.text();
         let word = text.trim_end_matches([':', '.']).to_lowercase();
-        if !STATISTICS_WORDS.contains(&word.as_str()) {
+        if !STATISTICS_KEYWORDS.contains(&word.as_str()) {
             break;
         }
         notes.push(format!("line {} is skipped: {text}", last.line));

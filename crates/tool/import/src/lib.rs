@@ -6,20 +6,20 @@
 //!          workbook, forms     wide                         plan               clock
 //! ```
 //! No unit, sign of decimals, order of a date or axis is guessed in silence: what can be read in two ways is a
-//! [`Question`], which a flag, a terminal or a map of headers answers ([`Answers`], [`header_map`]).
+//! [`Question`], which a flag, a terminal or a map of headers answers ([`ImportAnswers`], [`header_map`]).
 #![forbid(unsafe_code)]
 
 mod answers;
-mod cells;
+mod cell_grid;
+mod cell_kinds;
 mod circle;
 mod clock;
+mod column_mapping;
 mod column_meaning;
 mod convert;
 mod decode;
 mod formats;
-mod grid;
 pub mod header_map;
-mod import_mapping;
 mod layout;
 mod number;
 mod timestamp;
@@ -32,12 +32,12 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{InputFileError, Location, RunFile, run_file::is_known_column};
 
-pub use answers::{Answers, Circle, ImportError, Question, QuestionTopic};
+pub use answers::{CircleGeometry, ImportAnswers, ImportError, Question, QuestionTopic};
 pub use number::DecimalSeparator;
 pub use timestamp::DateOrder;
 
 /// The largest file that is read, in bytes.
-pub const MAX_FILE_BYTES: u64 = 256 << 20;
+pub const MAX_IMPORT_FILE_BYTES: u64 = 256 << 20;
 
 /// A column as it was understood.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,7 +78,11 @@ const PREVIEW_SAMPLE_COUNT: usize = 3;
 ///
 /// # Errors
 /// [`ImportError::Open`]: questions that only the user can answer. [`ImportError::Bad`]: the place and the rule broken.
-pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRun, ImportError> {
+pub fn import(
+    bytes: &[u8],
+    path: &Path,
+    answers: &ImportAnswers,
+) -> Result<ImportedRun, ImportError> {
     if let Some(error) = formats::unsupported_format_error(bytes, path) {
         return Err(error.into());
     }
@@ -96,7 +100,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
                 (layout, false)
             }
             None => {
-                let grid = grid::from_text(&text, path)?;
+                let grid = cell_grid::from_text(&text, path)?;
                 form.push(format!("{} between columns", grid.separator));
                 let found = layout::find_table(&grid, path)
                     .map_err(|error| formats::detect_cycle_log(bytes, path).unwrap_or(error))?;
@@ -106,12 +110,12 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
     };
     let layout = wide_table::to_long_format(layout)?;
     let (decimal, is_of_use) =
-        cells::detect_decimal_separator(&layout, is_by_comma, answers.decimal, path)?;
+        cell_kinds::detect_decimal_separator(&layout, is_by_comma, answers.decimal, path)?;
     if is_of_use {
         form.push(format!("decimal {}", decimal.name()));
     }
     let answers = &circle::with_deviation_answer(&layout, answers);
-    let plans = import_mapping::map_columns(&layout, answers, path)?;
+    let plans = column_mapping::map_columns(&layout, answers, path)?;
     let mut converted = convert::convert(&layout, &plans, decimal, answers, path)?;
     if let Some(circle) = &answers.circle {
         circle::convert_angles_to_positions(&mut converted.columns, circle)
@@ -122,7 +126,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
     }
     let mut omitted: Vec<(String, String)> = Vec::new();
     for plan in &plans {
-        if let import_mapping::ColumnRole::Ignored(why) = plan.role {
+        if let column_mapping::ColumnRole::Ignored(why) = plan.role {
             omitted.push((plan.header.clone(), why.into()));
         }
     }
@@ -151,7 +155,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
 /// file of an instrument, or a table whose headers are not those of a run file.
 #[must_use]
 pub fn is_foreign_format(bytes: &[u8], path: &Path) -> bool {
-    if matches!(import(bytes, path, &Answers::default()), Err(ImportError::Bad(_))) {
+    if matches!(import(bytes, path, &ImportAnswers::default()), Err(ImportError::Bad(_))) {
         return false;
     }
     if workbook::is_workbook(bytes) {
@@ -159,8 +163,8 @@ pub fn is_foreign_format(bytes: &[u8], path: &Path) -> bool {
     }
     let Ok((text, _)) = decode::decode(bytes, None, path) else { return false };
     let is_of_instrument =
-        !matches!(formats::parse_known_format(&text, &Answers::default(), path), Ok(None));
-    let table = grid::from_text(&text, path).and_then(|grid| layout::find_table(&grid, path));
+        !matches!(formats::parse_known_format(&text, &ImportAnswers::default(), path), Ok(None));
+    let table = cell_grid::from_text(&text, path).and_then(|grid| layout::find_table(&grid, path));
     let is_other = |column: &layout::SourceColumn| {
         let parts = column_meaning::split_header(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });

@@ -48,7 +48,7 @@ fn normalise_number(text: &str) -> Option<String> {
 /// Returns what `text` says about the decimal sign; `None` if it is no number.
 pub(crate) fn decimal_evidence(text: &str) -> Option<DecimalEvidence> {
     let number = normalise_number(text)?;
-    let reads = |decimal| normalise_separators(&number, decimal).is_some();
+    let reads = |decimal| normalise_number_separators(&number, decimal).is_some();
     let of = |c| number.matches(c).count();
     let (points, commas) = (of('.'), of(','));
     let first = match (points, commas) {
@@ -73,12 +73,13 @@ pub(crate) fn decimal_evidence(text: &str) -> Option<DecimalEvidence> {
 
 /// Returns the value of `text`; `None` if it is no number in this writing.
 pub(crate) fn parse(text: &str, decimal: DecimalSeparator) -> Option<f64> {
-    let value: f64 = normalise_separators(&normalise_number(text)?, decimal)?.parse().ok()?;
+    let value: f64 =
+        normalise_number_separators(&normalise_number(text)?, decimal)?.parse().ok()?;
     value.is_finite().then_some(value)
 }
 
 /// Returns the number with a point for its decimals and without thousands separators.
-fn normalise_separators(number: &str, decimal: DecimalSeparator) -> Option<String> {
+fn normalise_number_separators(number: &str, decimal: DecimalSeparator) -> Option<String> {
     let (sign, group) = match decimal {
         DecimalSeparator::Point => ('.', ','),
         DecimalSeparator::Comma => (',', '.'),
@@ -136,12 +137,12 @@ pub(crate) fn split_unit(text: &str) -> (&str, &str) {
 
 /// Returns true for what stands where there is no value.
 pub(crate) fn is_missing(text: &str) -> bool {
-    const MISSING_VALUE_WORDS: [&str; 26] = [
+    const MISSING_VALUE_MARKERS: [&str; 26] = [
         "", "-", "--", "---", "–", "—", "n/a", "na", "#n/a", "#na", "nan", "null", "none", "k.a.",
         "#nv", "#wert!", "#value!", "#div/0!", "#ref!", "#bezug!", "#num!", "#zahl!", "ol",
         "overload", "overflow", "n.a.",
     ];
-    MISSING_VALUE_WORDS.contains(&text.trim().to_lowercase().as_str())
+    MISSING_VALUE_MARKERS.contains(&text.trim().to_lowercase().as_str())
 }
 
 #[cfg(test)]

@@ -67,7 +67,7 @@ pub(crate) struct Unit {
 
 type UnitDefinition = (&'static str, Dimension, f64, f64, &'static [&'static str]);
 
-const UNITS: &[UnitDefinition] = {
+const UNIT_DEFINITIONS: &[UnitDefinition] = {
     use Dimension::{Angle, Counts, Feed, Force, Length, Speed, Temperature, Time, Voltage};
     &[
         (
@@ -288,14 +288,14 @@ fn normalise(text: &str) -> String {
 pub(crate) fn parse(text: &str) -> Option<Unit> {
     let requested = normalise(text);
     // `MV` and `Mm` are others; no instrument here has them.
-    let found = UNITS.iter().find(|(.., names)| names.contains(&requested.as_str()));
+    let found = UNIT_DEFINITIONS.iter().find(|(.., names)| names.contains(&requested.as_str()));
     found.map(|&(name, dimension, factor, offset, _)| Unit { name, dimension, factor, offset })
 }
 
 impl Unit {
     /// Returns the base unit of a dimension.
     pub(crate) fn base_unit(dimension: Dimension) -> Self {
-        let found = UNITS.iter().find(|(_, of, factor, offset, _)| {
+        let found = UNIT_DEFINITIONS.iter().find(|(_, of, factor, offset, _)| {
             *of == dimension && *factor == 1.0 && *offset == 0.0
         });
         let name = found.map_or("", |(name, ..)| name);
@@ -358,12 +358,13 @@ mod tests {
 
     #[test]
     fn no_writing_names_two_units_and_each_offer_is_a_unit() {
-        for (at, (name, .., names)) in UNITS.iter().enumerate() {
+        for (at, (name, .., names)) in UNIT_DEFINITIONS.iter().enumerate() {
             assert_eq!(parse(name).map(|unit| unit.name), Some(*name));
             for name in *names {
-                let twice = UNITS[at + 1..].iter().any(|(.., others)| others.contains(name));
+                let twice =
+                    UNIT_DEFINITIONS[at + 1..].iter().any(|(.., others)| others.contains(name));
                 assert!(!twice, "{name}");
-                for offer in UNITS[at].1.suggested_units() {
+                for offer in UNIT_DEFINITIONS[at].1.suggested_units() {
                     assert!(parse(offer).is_some(), "{offer}");
                 }
             }

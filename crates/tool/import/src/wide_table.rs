@@ -3,8 +3,8 @@
 use trueup_machine::InputFileError;
 
 use crate::{
+    cell_grid::{Cell, CellContent, CellRow},
     column_meaning::{self, ColumnMeaning, TargetColumn},
-    grid::{Cell, CellContent, Row},
     layout::{SourceColumn, SourceTable},
     unit,
 };
@@ -96,9 +96,9 @@ pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, InputFi
             cells.push(number(f64::from(run)));
             cells.extend(way.filter(|_| has_ways).map(number));
             cells.push(row.cells[at].clone());
-            Row { line: row.line, cells }
+            CellRow { line: row.line, cells }
         });
-        let mut pass: Vec<Row> = pass.collect();
+        let mut pass: Vec<CellRow> = pass.collect();
         if way == Some(-1.0) {
             pass.reverse();
         }

@@ -7,7 +7,7 @@ use trueup_machine::{InputFileError, Location};
 
 use crate::{
     answers::{ImportError, Question, QuestionTopic},
-    grid::{Cell, CellContent, Grid, Row},
+    cell_grid::{Cell, CellContent, CellGrid, CellRow},
     layout,
 };
 
@@ -23,7 +23,7 @@ const MAX_UNPACKED_BYTES: u64 = 1 << 30;
 ///
 /// # Errors
 /// It is no workbook, is protected, has no table, no sheet of this name, or several tables: a question.
-pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid, ImportError> {
+pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<CellGrid, ImportError> {
     let bad = |rule: String| InputFileError::new(Location::start_of_file(path), rule);
     if unpacked_size(bytes) > MAX_UNPACKED_BYTES {
         return Err(bad("unpacks to more than 1 GiB".into()).into());
@@ -43,7 +43,7 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
             book.worksheet_range(known).map_err(|error| bad(format!("sheet {known}: {error}")))?;
         return Ok(convert_range(&range));
     }
-    let mut tables: Vec<(String, Grid)> = Vec::new();
+    let mut tables: Vec<(String, CellGrid)> = Vec::new();
     for name in &names {
         // A sheet of a chart has no cells.
         let Ok(range) = book.worksheet_range(name) else { continue };
@@ -69,7 +69,7 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
     }
 }
 
-fn convert_range(range: &Range<Data>) -> Grid {
+fn convert_range(range: &Range<Data>) -> CellGrid {
     let (first_row, first_column) = range.start().unwrap_or((0, 0));
     let rows = range.rows().enumerate().map(|(row, cells)| {
         let cells: Vec<Cell> = cells
@@ -80,9 +80,9 @@ fn convert_range(range: &Range<Data>) -> Grid {
                 column: at + first_column as usize + 1,
             })
             .collect();
-        Row { line: row + first_row as usize + 1, cells }
+        CellRow { line: row + first_row as usize + 1, cells }
     });
-    Grid {
+    CellGrid {
         rows: rows.collect(),
         separator: String::new(),
         is_by_comma: false,

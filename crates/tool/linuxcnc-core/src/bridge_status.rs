@@ -11,7 +11,7 @@ use trueup_link::{
 use crate::NANOMETRES_PER_MICROMETRE;
 
 /// Temperature channels of the bridge.
-pub const TEMPERATURE_COUNT: usize = trueup_core::dimensions::CHANNEL_COUNT;
+pub const TEMPERATURE_COUNT: usize = trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
 
 /// The newest of what the bridge says of itself, with its time.
 #[derive(Debug, Default)]

@@ -4,21 +4,23 @@ use core::time::Duration;
 
 use trueup_core::{
     cnc::{Control, MachineConditions, OffsetFlags, OffsetQuality},
-    learned::PART_COUNT,
+    learned::LEARNED_PART_COUNT,
 };
-use trueup_link::{layout::STATUS_ID, receiver::FrameCounters, slcan::Event, status::StateBits};
+use trueup_link::{
+    layout::STATUS_ID, receiver::FrameCounters, slcan::AdapterMessage, status::StateBits,
+};
 
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
     bridge_status::BridgeStatus,
     engage::EngageSequence,
-    follower::{AxisReading, OffsetFollower, RateLimits},
-    joint::{
+    joint_offsets::{
         AppliedOffsets, JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS,
         StepInputs,
     },
-    offsets::{OffsetLimits, OffsetTarget, ReceivedOffsets},
-    sender::{CncTransmitter, CommandValues, Frames},
+    offset_follower::{AxisReading, OffsetFollower, RateLimits},
+    offset_target::{OffsetLimits, OffsetTarget, ReceivedOffsets},
+    sender::{CncTransmitter, CommandValues, DueFrames},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
@@ -50,7 +52,7 @@ pub struct ComponentOptions {
 
 /// Values of the input pins.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Inputs {
+pub struct ComponentInputs {
     /// The operator wants offsets.
     pub enable: bool,
     /// LinuxCNC's motion is enabled.
@@ -81,7 +83,7 @@ pub struct Inputs {
 
 /// Values for the output pins.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outputs {
+pub struct ComponentOutputs {
     /// To be added to the counts of X, Y and Z, with wrapping.
     pub counts: [i32; 3],
     /// Goals and limits of the joints' offsets for `moveoff`.
@@ -166,7 +168,7 @@ impl Component {
 
     /// Says from now on what was learned, in the bridge's units, to a bridge that runs on the calibration with this
     /// CRC; `None`: nothing.
-    pub fn set_learned_values(&mut self, learned: Option<([i16; PART_COUNT], u32)>) {
+    pub fn set_learned_values(&mut self, learned: Option<([i16; LEARNED_PART_COUNT], u32)>) {
         let running = self.status.calibration;
         self.sender
             .set_learned_values(learned.filter(|(_, calibration)| running == Some(*calibration)));
@@ -174,23 +176,30 @@ impl Component {
 
     /// Says from now on that nothing was learned, to whatever calibration the bridge runs on: values that it got before
     /// this component began stay in force until they are taken back.
-    pub fn clear_learned(&mut self) {
-        self.sender
-            .set_learned_values(self.status.calibration.map(|running| ([0; PART_COUNT], running)));
+    pub fn clear_learned_values(&mut self) {
+        self.sender.set_learned_values(
+            self.status.calibration.map(|running| ([0; LEARNED_PART_COUNT], running)),
+        );
     }
 
     /// Takes what came over the line.
-    pub fn receive(&mut self, now: Duration, event: &Event) {
+    pub fn receive(&mut self, now: Duration, event: &AdapterMessage) {
         match event {
-            Event::Frame(frame) if frame.id() == STATUS_ID => self.status.receive(now, frame),
-            Event::Frame(frame) => self.offsets.receive(now, frame),
-            Event::Malformed(_) => self.offsets.count_malformed(),
-            Event::Accepted | Event::Refused | Event::Other(_) => {}
+            AdapterMessage::Frame(frame) if frame.id() == STATUS_ID => {
+                self.status.receive(now, frame)
+            }
+            AdapterMessage::Frame(frame) => self.offsets.receive(now, frame),
+            AdapterMessage::Malformed(_) => self.offsets.count_malformed_line(),
+            AdapterMessage::Accepted | AdapterMessage::Rejected | AdapterMessage::Other(_) => {}
         }
     }
 
     /// Returns one turn of the loop: what the pins are to say, and the frames to send.
-    pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Frames) {
+    pub fn step(
+        &mut self,
+        now: Duration,
+        inputs: &ComponentInputs,
+    ) -> (ComponentOutputs, DueFrames) {
         let ready = inputs.machine_on && inputs.homed;
         let limits = &self.options.limits;
         let target = self.offsets.update_target(now, limits);
@@ -202,7 +211,7 @@ impl Component {
             OffsetTarget::Hold => None,
             OffsetTarget::RampOut => Some([0; 3]),
         };
-        let mut outputs = Outputs::default();
+        let mut outputs = ComponentOutputs::default();
         let applied = self.apply_offsets(now, inputs, ready, goal, &mut outputs);
         let AppliedOffsets { nm: applied_nm, at_zero, arrived, .. } = applied;
         outputs.offset_um = self.offset_nm.map(|nm| f64::from(nm) / NANOMETRES_PER_MICROMETRE);
@@ -268,10 +277,10 @@ impl Component {
     fn apply_offsets(
         &mut self,
         now: Duration,
-        inputs: &Inputs,
+        inputs: &ComponentInputs,
         ready: bool,
         goal_nm: Option<[i32; 3]>,
-        outputs: &mut Outputs,
+        outputs: &mut ComponentOutputs,
     ) -> AppliedOffsets {
         if self.options.joints.iter().any(Option::is_some) {
             let step = StepInputs { now, ready, goal_nm, max_nm: self.options.limits.max_nm };
@@ -342,9 +351,9 @@ pub(crate) mod tests {
     /// millisecond, while it is there.
     struct World {
         component: Component,
-        inputs: Inputs,
+        inputs: ComponentInputs,
         offset: Option<[i32; 3]>,
-        outputs: Outputs,
+        outputs: ComponentOutputs,
         controls: Vec<Control>,
         receiver: CncReceiver,
         ms: u64,
@@ -354,9 +363,14 @@ pub(crate) mod tests {
         fn new() -> Self {
             Self {
                 component: component(),
-                inputs: Inputs { enable: true, machine_on: true, homed: true, ..Inputs::default() },
+                inputs: ComponentInputs {
+                    enable: true,
+                    machine_on: true,
+                    homed: true,
+                    ..ComponentInputs::default()
+                },
                 offset: Some([0; 3]),
-                outputs: Outputs::default(),
+                outputs: ComponentOutputs::default(),
                 controls: Vec::new(),
                 receiver: CncReceiver::new(),
                 ms: 0,
@@ -375,7 +389,7 @@ pub(crate) mod tests {
                     for frame in
                         [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)]
                     {
-                        self.component.receive(now, &Event::Frame(frame));
+                        self.component.receive(now, &AdapterMessage::Frame(frame));
                     }
                 }
                 let (outputs, frames) = self.component.step(now, &self.inputs);
@@ -438,7 +452,7 @@ pub(crate) mod tests {
         for (enable, machine_on, homed) in
             [(true, true, true), (true, false, true), (false, true, true), (true, true, false)]
         {
-            world.inputs = Inputs { enable, machine_on, homed, ..world.inputs };
+            world.inputs = ComponentInputs { enable, machine_on, homed, ..world.inputs };
             world.live(200);
             let control = world.controls.last().expect("at once");
             assert_eq!((control.engage, control.referenced), (enable && machine_on, homed));
@@ -451,7 +465,7 @@ pub(crate) mod tests {
         world.live(1);
         let item = StatusItem::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
         let reported = status::Status { last_refused: status::FrameRejectReason::None, item };
-        let frame = Event::Frame(status::encode(&reported, 0));
+        let frame = AdapterMessage::Frame(status::encode(&reported, 0));
         world.component.receive(Duration::from_millis(world.ms), &frame);
         world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);

@@ -21,13 +21,13 @@ extern crate std;
 mod bridge_status;
 pub mod component;
 pub mod engage;
-pub mod follower;
-pub mod joint;
-pub mod offsets;
+pub mod joint_offsets;
+pub mod offset_follower;
+pub mod offset_target;
 mod rounding;
 pub mod sender;
 
-pub use component::{Component, ComponentOptions, Inputs, Outputs};
+pub use component::{Component, ComponentInputs, ComponentOptions, ComponentOutputs};
 
 use trueup_core::units;
 

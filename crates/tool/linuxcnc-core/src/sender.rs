@@ -26,7 +26,7 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, SpindleState,
         TravelDirection,
     },
-    learned::{ChangeRequest, PART_COUNT, calibration_id},
+    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
@@ -35,7 +35,7 @@ use trueup_link::{
 };
 
 /// The frames of one call: one of each kind at most.
-pub type Frames = heapless::Vec<Frame, 7>;
+pub type DueFrames = heapless::Vec<Frame, 7>;
 
 /// Unchanged values are sent this often: a bridge that was away has to learn where it is.
 const RESEND_PERIOD: Duration = Duration::from_millis(50);
@@ -160,7 +160,7 @@ pub(crate) struct CncTransmitter {
     zero_until: Option<Duration>,
     zero_was: bool,
     /// Learned values, and the calibration that they change; `None`: none are sent.
-    learned: Option<([i16; PART_COUNT], u32)>,
+    learned: Option<([i16; LEARNED_PART_COUNT], u32)>,
 }
 
 impl CncTransmitter {
@@ -184,15 +184,17 @@ impl CncTransmitter {
 
     /// Sends the learned values from now on again and again, a part in each `Control`: a bridge that has
     /// restarted has forgotten them.
-    pub fn set_learned_values(&mut self, learned: Option<([i16; PART_COUNT], u32)>) {
+    pub fn set_learned_values(&mut self, learned: Option<([i16; LEARNED_PART_COUNT], u32)>) {
         self.learned = learned;
     }
 
     /// Returns the part of what was learned that this frame is to say.
-    fn next_learned_change(&self, counter: u8) -> ChangeRequest {
-        let Some((amounts, calibration)) = self.learned else { return ChangeRequest::default() };
-        let part = counter % PART_COUNT as u8;
-        ChangeRequest {
+    fn next_learned_change(&self, counter: u8) -> LearnedChangeRequest {
+        let Some((amounts, calibration)) = self.learned else {
+            return LearnedChangeRequest::default();
+        };
+        let part = counter % LEARNED_PART_COUNT as u8;
+        LearnedChangeRequest {
             part: part + 1,
             amount: amounts[usize::from(part)],
             calibration: calibration_id(calibration),
@@ -200,8 +202,8 @@ impl CncTransmitter {
     }
 
     /// Returns the frames that are due.
-    pub(crate) fn due_frames(&mut self, now: Duration, command: &CommandValues) -> Frames {
-        let mut due = Frames::new();
+    pub(crate) fn due_frames(&mut self, now: Duration, command: &CommandValues) -> DueFrames {
+        let mut due = DueFrames::new();
         let control =
             Control { zero: self.stretch_zero_pulse(now, command.control.zero), ..command.control };
         let often = Duration::from_millis(CONTROL_PERIOD_MS.into());
@@ -261,7 +263,7 @@ impl CncTransmitter {
 }
 
 /// There is room for one of each kind.
-fn push_frame(due: &mut Frames, frame: Frame) {
+fn push_frame(due: &mut DueFrames, frame: Frame) {
     due.push(frame).ok();
 }
 
@@ -415,16 +417,19 @@ mod tests {
                 _ => None,
             })
         };
-        assert_eq!(learned(&mut sender, 0), Some(ChangeRequest::default()));
+        assert_eq!(learned(&mut sender, 0), Some(LearnedChangeRequest::default()));
         sender.set_learned_values(Some(([10, 20, 30, 40, -50], 0x1234_ABCD)));
         assert_eq!(learned(&mut sender, 1), None, "no frame is sent for its sake");
-        let all: Vec<ChangeRequest> =
+        let all: Vec<LearnedChangeRequest> =
             (1..=5).map(|n| learned(&mut sender, 20 * n).expect("one every 20 ms")).collect();
         for (part, amount) in (1..).zip([10, 20, 30, 40, -50]) {
-            assert!(all.contains(&ChangeRequest { part, amount, calibration: 0xABCD }), "{all:?}");
+            assert!(
+                all.contains(&LearnedChangeRequest { part, amount, calibration: 0xABCD }),
+                "{all:?}"
+            );
         }
         sender.set_learned_values(None);
-        assert_eq!(learned(&mut sender, 200), Some(ChangeRequest::default()));
+        assert_eq!(learned(&mut sender, 200), Some(LearnedChangeRequest::default()));
     }
 
     #[test]

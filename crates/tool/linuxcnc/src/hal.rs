@@ -77,7 +77,7 @@ pin_type!(u32, u32, 4, b"hal_pin_u32_new\0", |raw| raw, |value| value);
 pub(crate) struct Pin<'hal, T: PinType> {
     /// The cell in the shared memory where LinuxCNC keeps where the value is.
     cell: *const *mut T::Raw,
-    hal: PhantomData<&'hal Hal>,
+    hal: PhantomData<&'hal HalComponent>,
 }
 
 impl<T: PinType> Pin<'_, T> {
@@ -101,7 +101,7 @@ impl<T: PinType> Pin<'_, T> {
 
 /// A component in the HAL.
 #[derive(Debug)]
-pub struct Hal {
+pub struct HalComponent {
     library: Library,
     id: c_int,
     /// The pins are those of a component whose process was killed.
@@ -125,7 +125,7 @@ struct PinInfo {
     is_connected: bool,
 }
 
-impl Hal {
+impl HalComponent {
     /// Registers a component.
     ///
     /// Where one of this name is left over from a process that was killed, which `pid_pin` shows,
@@ -149,7 +149,7 @@ impl Hal {
         hal.adopts = true;
         match hal.read_foreign_pin::<u32>(pid_pin) {
             Some(pid) if !is_process_alive(pid) => Ok(hal),
-            pid => Err(HalError::Taken { name: name.into(), pid }),
+            pid => Err(HalError::NameInUse { name: name.into(), pid }),
         }
     }
 
@@ -163,7 +163,7 @@ impl Hal {
     /// only, so this has to be called from time to time.
     pub(crate) fn refresh_adopted_pins(&self) {
         for pin in &*self.adopted.borrow() {
-            if let Some(data) = self.find_pin_value(&pin.name, pin.kind) {
+            if let Some(data) = self.find_pin_data_pointer(&pin.name, pin.kind) {
                 // SAFETY: the cell lives as long as `Hal`; no `Pin` reads it meanwhile, because
                 // neither can leave its thread.
                 unsafe { ptr::write_volatile(pin.cell.get(), data) }
@@ -175,22 +175,22 @@ impl Hal {
     ///
     /// # Errors
     /// The HAL refuses: the name is taken or too long, or its memory is full.
-    pub(crate) fn create_input<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+    pub(crate) fn create_input_pin<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
         self.create_pin(name, HAL_IN)
     }
 
     /// Returns a pin that this component writes.
     ///
     /// # Errors
-    /// As [`Hal::create_input`].
-    pub(crate) fn create_output<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+    /// As [`Hal::create_input_pin`].
+    pub(crate) fn create_output_pin<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
         self.create_pin(name, HAL_OUT)
     }
 
     /// Returns what anybody's pin says; `None` if there is none of this name and type.
     #[must_use]
     pub(crate) fn read_foreign_pin<T: PinType>(&self, name: &str) -> Option<T> {
-        let data = self.find_pin_value(&to_c_string(name).ok()?, T::HAL_TYPE)?;
+        let data = self.find_pin_data_pointer(&to_c_string(name).ok()?, T::HAL_TYPE)?;
         // SAFETY: the HAL says that a value of this type lies there, in its memory, which is
         // attached; volatile, because others write it.
         Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
@@ -199,7 +199,7 @@ impl Hal {
     /// Returns whether anybody's pin is connected to a signal; `None` if there is none of this name.
     #[must_use]
     pub(crate) fn is_pin_connected(&self, name: &str) -> Option<bool> {
-        self.look_up(&to_c_string(name).ok()?).map(|found| found.is_connected)
+        self.find_pin(&to_c_string(name).ok()?).map(|found| found.is_connected)
     }
 
     /// Says that all pins are there: `loadusr -W` waits for it.
@@ -217,7 +217,7 @@ impl Hal {
         type MallocFn = unsafe extern "C" fn(c_long) -> *mut c_void;
         let text = to_c_string(name)?;
         if self.adopts
-            && let Some(data) = self.find_pin_value(&text, T::HAL_TYPE)
+            && let Some(data) = self.find_pin_data_pointer(&text, T::HAL_TYPE)
         {
             let cell = Box::new(UnsafeCell::new(data));
             let place = cell.get();
@@ -255,13 +255,13 @@ impl Hal {
     }
 
     /// Where the value of anybody's pin of this kind is.
-    fn find_pin_value(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
-        self.look_up(pin)
+    fn find_pin_data_pointer(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
+        self.find_pin(pin)
             .filter(|found| found.kind == kind && !found.data.is_null())
             .map(|found| found.data)
     }
 
-    fn look_up(&self, pin: &CStr) -> Option<PinInfo> {
+    fn find_pin(&self, pin: &CStr) -> Option<PinInfo> {
         let by_name = self
             .load_function::<PinByNameFn>(
                 "hal_get_pin_value_by_name",
@@ -285,7 +285,7 @@ impl Hal {
     }
 }
 
-impl Drop for Hal {
+impl Drop for HalComponent {
     fn drop(&mut self) {
         if self.id > 0 {
             // At the end of the process an error cannot be reported.
@@ -334,7 +334,7 @@ pub enum HalError {
     },
     /// A component of this name is alive.
     #[error("{}", name_in_use_message(.name, *.pid))]
-    Taken {
+    NameInUse {
         /// The component's name.
         name: String,
         /// The number of its process, where that is known.

@@ -7,9 +7,9 @@
 //!  eoffset-request ─► follower ─► x-counts ─► axis.x.eoffset-counts
 //! ```
 //!
-//! The decisions ([`offsets`], [`follower`], [`sender`], put together in [`component`]) are `trueup-linuxcnc-core`: it takes time
+//! The decisions ([`offset_target`], [`offset_follower`], [`sender`], put together in [`component`]) are `trueup-linuxcnc-core`: it takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
-//! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::connection`] keeps the
+//! the only file with `unsafe`, [`component_pins`] names every pin, [`trueup_client::connection`] keeps the
 //! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,
 //! [`run()`] is the loop.
 //!
@@ -26,17 +26,17 @@
 //! | the planner moves with `OFFSET_AV_RATIO` of the axis' speed and acceleration, by default 0 | read from the .ini, and warned of in words |
 //! | `axis.L.pos-cmd` is without the external offset | sent to the bridge unchanged |
 
+mod component_pins;
 pub mod configuration;
 pub mod hal;
-pub mod ini;
-pub mod pins;
+pub mod ini_settings;
 pub mod record;
 pub mod run;
 pub mod status;
 
 pub use trueup_linuxcnc_core::{
-    Component, ComponentOptions, Inputs, Outputs, component, engage, follower, joint, offsets,
-    sender,
+    Component, ComponentInputs, ComponentOptions, ComponentOutputs, component, engage,
+    joint_offsets, offset_follower, offset_target, sender,
 };
 
 pub use record::RecordFile;

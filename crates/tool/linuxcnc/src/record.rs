@@ -17,12 +17,12 @@ use std::{
 use trueup_client::record::temperature_columns;
 use trueup_machine::{
     Machine,
-    file::SensorModel,
+    machine_file::SensorModel,
     model::{required_columns, sensor_counts_from_elongation},
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
-use crate::component::{Inputs, Outputs};
+use crate::component::{ComponentInputs, ComponentOutputs};
 
 /// From row to row: a spindle that changes its speed grows at once by micrometres.
 const ROW_PERIOD_S: u64 = 2;
@@ -90,8 +90,8 @@ impl RecordFile {
     pub(crate) fn write_row_if_due(
         &mut self,
         now: SystemTime,
-        inputs: &Inputs,
-        outputs: &Outputs,
+        inputs: &ComponentInputs,
+        outputs: &ComponentOutputs,
     ) -> io::Result<()> {
         let now_s = now.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
         if self.last_s.is_some_and(|last_s| (last_s..last_s + ROW_PERIOD_S).contains(&now_s)) {
@@ -117,7 +117,12 @@ impl RecordFile {
         file.write_all(format!("{}\n", self.rows[self.rows.len() - 1]).as_bytes())
     }
 
-    fn format_row(&self, now_s: u64, inputs: &Inputs, outputs: &Outputs) -> String {
+    fn format_row(
+        &self,
+        now_s: u64,
+        inputs: &ComponentInputs,
+        outputs: &ComponentOutputs,
+    ) -> String {
         let cell = |value: f64, decimals: usize| {
             if value.is_finite() { format!("{value:.decimals$}") } else { String::new() }
         };
@@ -174,12 +179,13 @@ mod tests {
     }
 
     fn at(record: &mut RecordFile, now_s: u64) {
-        let inputs = Inputs {
+        let inputs = ComponentInputs {
             spindle_rpm: 12_000.0,
             position_mm: [1.5, f64::NAN, -3.0],
-            ..Inputs::default()
+            ..ComponentInputs::default()
         };
-        let mut outputs = Outputs { elongation_um: Some(20.0), ..Outputs::default() };
+        let mut outputs =
+            ComponentOutputs { elongation_um: Some(20.0), ..ComponentOutputs::default() };
         outputs.temperatures_c[3] = Some(23.5);
         let now = UNIX_EPOCH + Duration::from_secs(now_s);
         record.write_row_if_due(now, &inputs, &outputs).expect("it can be written");
@@ -231,7 +237,11 @@ mod tests {
         let full = 2 * MIN_RETAINED_ROWS;
         record.rows = (0..full as u64)
             .map(|row| {
-                record.format_row(ROW_PERIOD_S * row, &Inputs::default(), &Outputs::default())
+                record.format_row(
+                    ROW_PERIOD_S * row,
+                    &ComponentInputs::default(),
+                    &ComponentOutputs::default(),
+                )
             })
             .collect();
         let next_s = ROW_PERIOD_S * full as u64;

@@ -8,18 +8,18 @@ use std::{
 };
 
 use trueup_client::{
-    connection::{Connection, ConnectionEvent},
+    connection::{BridgeConnection, ConnectionEvent},
     duplex_stream::DuplexStream,
     pinned_calibration::PinnedCalibration,
     state_text::state_names,
 };
-use trueup_core::{cnc::OffsetQuality, learned::PART_COUNT};
+use trueup_core::{cnc::OffsetQuality, learned::LEARNED_PART_COUNT};
 use trueup_link::status::StateBits;
 
 use crate::{
-    component::{Component, ComponentOptions, Outputs},
-    hal::{Hal, HalError},
-    pins::{ComponentPins, pid_pin_name},
+    component::{Component, ComponentOptions, ComponentOutputs},
+    component_pins::{ComponentPins, pid_pin_name},
+    hal::{HalComponent, HalError},
     record::RecordFile,
 };
 
@@ -49,7 +49,7 @@ pub struct HalComponentSettings {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LearnedUpdate {
     /// Each part in the bridge's units; `None`: as before.
-    pub amounts: Option<[i16; PART_COUNT]>,
+    pub amounts: Option<[i16; LEARNED_PART_COUNT]>,
     /// Lines about it for the operator.
     pub notices: Vec<String>,
 }
@@ -77,9 +77,9 @@ pub fn run(
         turn,
         options,
     } = settings;
-    let hal = Hal::new(name, &pid_pin_name(name))?;
+    let hal = HalComponent::new(name, &pid_pin_name(name))?;
     let pins = ComponentPins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
-    let line = Connection::spawn(open);
+    let line = BridgeConnection::spawn(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
     pins.resume(&mut component);
@@ -96,13 +96,13 @@ pub fn run(
         if now.saturating_sub(refreshed) >= PIN_REFRESH_PERIOD {
             refreshed = now;
             hal.refresh_adopted_pins();
-            cut = pins.disconnected_pin();
+            cut = pins.find_disconnected_pin();
             news.report_disconnected_pin(cut, &mut report);
         }
         for received in line.take_events() {
             match received {
                 ConnectionEvent::Up => report("the line is open"),
-                ConnectionEvent::Down(why) => news.report_line_down(&why, &mut report),
+                ConnectionEvent::Down(why) => news.report_connection_lost(&why, &mut report),
                 ConnectionEvent::Received(event) => component.receive(now, &event),
                 ConnectionEvent::Late => report(
                     "the line has stalled, and delivers what is old: not used until it is in time again",
@@ -142,7 +142,7 @@ struct LearnedCorrections<F> {
     /// CRC of the calibration that it is a change of.
     of: Option<u32>,
     /// As it was last reported; `None`: it is not known yet.
-    amounts: Option<[i16; PART_COUNT]>,
+    amounts: Option<[i16; LEARNED_PART_COUNT]>,
 }
 
 impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
@@ -152,7 +152,7 @@ impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
         component: &mut Component,
         report: &mut impl FnMut(&str),
     ) {
-        let Some(news) = &self.news else { return component.clear_learned() };
+        let Some(news) = &self.news else { return component.clear_learned_values() };
         if let Some(news) = news() {
             news.notices.iter().for_each(|text| report(text));
             self.amounts = news.amounts.or(self.amounts);
@@ -192,7 +192,7 @@ impl StateReporter {
     }
 
     /// The same reason is reported once.
-    fn report_line_down(&mut self, why: &str, report: &mut impl FnMut(&str)) {
+    fn report_connection_lost(&mut self, why: &str, report: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
             report(&format!("the line is down: {why}; trying again"));
             self.down = Some(why.into());
@@ -200,8 +200,8 @@ impl StateReporter {
     }
 
     /// The bridge's version and state, when they change.
-    fn report_bridge_state(&mut self, outputs: &Outputs, report: &mut impl FnMut(&str)) {
-        if let Some(notices) = self.pinned.set_running_crc(outputs.calibration) {
+    fn report_bridge_state(&mut self, outputs: &ComponentOutputs, report: &mut impl FnMut(&str)) {
+        if let Some(notices) = self.pinned.update_running_crc(outputs.calibration) {
             report(&notices);
         }
         if outputs.state != self.bits {
@@ -214,9 +214,9 @@ impl StateReporter {
         }
     }
 
-    fn report_state_change(&mut self, outputs: &Outputs, report: &mut impl FnMut(&str)) {
+    fn report_state_change(&mut self, outputs: &ComponentOutputs, report: &mut impl FnMut(&str)) {
         self.report_bridge_state(outputs, report);
-        let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
+        let ComponentOutputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
         let state = (connected, fault, limited, not_taken, quality);
         if self.state.replace(state) == Some(state) {
             return;
@@ -256,17 +256,18 @@ impl StateReporter {
 mod tests {
     use super::*;
     use crate::{
-        component::Inputs, follower::RateLimits, joint::MAX_JOINTS, offsets::OffsetLimits,
+        component::ComponentInputs, joint_offsets::MAX_JOINTS, offset_follower::RateLimits,
+        offset_target::OffsetLimits,
     };
     use std::cell::Cell;
     use trueup_client::pinned_calibration::CalibrationPolicy;
     use trueup_core::{
         cnc::CncMessage,
-        learned::{ChangeRequest, calibration_id},
+        learned::{LearnedChangeRequest, calibration_id},
     };
     use trueup_link::{
         receiver::CncReceiver,
-        slcan::Event,
+        slcan::AdapterMessage,
         status::{self, Status, StatusItem},
     };
 
@@ -302,15 +303,16 @@ mod tests {
         let item = StatusItem::Calibration(RUNNING);
         let reported =
             status::encode(&Status { last_refused: status::FrameRejectReason::None, item }, 0);
-        component.receive(Duration::ZERO, &Event::Frame(reported));
+        component.receive(Duration::ZERO, &AdapterMessage::Frame(reported));
         let mut lessons = LearnedCorrections { news, of, amounts: None };
         let mut all = Vec::new();
         for turn in 0..5 {
             lessons.send_learned_corrections(&mut component, &mut |_: &str| ());
-            let (_, frames) = component.step(Duration::from_millis(20 * turn), &Inputs::default());
+            let (_, frames) =
+                component.step(Duration::from_millis(20 * turn), &ComponentInputs::default());
             for frame in &frames {
                 if let Some(CncMessage::Control(it)) = receiver.accept(frame).expect("in order") {
-                    let ChangeRequest { part, amount, calibration } = it.learned;
+                    let LearnedChangeRequest { part, amount, calibration } = it.learned;
                     assert!(
                         part == 0 || calibration == calibration_id(RUNNING),
                         "{:?}",
@@ -357,7 +359,11 @@ mod tests {
         let rule = CalibrationPolicy::Machine { crc: 0xABCD, path: "m.toml".into() };
         let mut news = StateReporter::new(PinnedCalibration::new(rule));
         let mut messages = Vec::new();
-        let shows = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
+        let shows = |calibration, state| ComponentOutputs {
+            calibration,
+            state,
+            ..ComponentOutputs::default()
+        };
         for (outputs, is_engage_allowed) in [
             (shows(None, StateBits::default()), false),
             (shows(Some(0xABCD), StateBits::default()), true),

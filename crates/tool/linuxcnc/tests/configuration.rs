@@ -9,9 +9,9 @@ use trueup_linuxcnc::configuration::{
     check::{CheckReport, check},
     finding::{OffsetRequirements, Severity},
     hal_files::HalFiles,
-    ini_lines::IniLines,
-    install::{self, FileChange},
-    installed::{BridgeSettings, InstalledSetup},
+    ini_file::IniFile,
+    installed_setup::{BridgeSettings, InstalledSetup},
+    setup::{self, FileChange},
 };
 use trueup_machine::{InputFileError, MachineFile};
 
@@ -65,8 +65,8 @@ impl Case {
         Self { folder }
     }
 
-    fn read(&self) -> (IniLines, HalFiles) {
-        let ini = IniLines::read(&self.folder.path().join("machine.ini")).expect("reads");
+    fn read(&self) -> (IniFile, HalFiles) {
+        let ini = IniFile::read(&self.folder.path().join("machine.ini")).expect("reads");
         let hal = HalFiles::read(&ini).expect("reads");
         (ini, hal)
     }
@@ -95,7 +95,7 @@ impl Case {
             machine: Some(machine.into()),
             position_period_ms: 2,
         };
-        install::prepare_setup(&ini, &hal, demand, &bridge)
+        setup::prepare_setup(&ini, &hal, demand, &bridge)
     }
 
     fn write(changes: &[FileChange]) {
@@ -440,7 +440,7 @@ fn setup_twice_is_setup_once_and_the_files_are_equal_to_the_byte_afterwards() {
             assert_ne!(case.files(), once);
             Case::write(&case.set_up(&demand).expect("reads").1);
             assert_eq!(case.files(), once);
-            Case::write(&install::prepare_removal(&case.read().0).expect("reads"));
+            Case::write(&setup::prepare_removal(&case.read().0).expect("reads"));
             assert_eq!(case.files(), before);
             let copy = fs::read_to_string(case.folder.path().join("machine.ini.trueup-backup"));
             assert_eq!(copy.expect("kept"), text);
@@ -465,7 +465,7 @@ fn setup_leaves_what_the_user_has_connected_or_written() {
         report.findings.iter().any(|finding| finding.what.contains("not written by setup"))
             && changes.is_empty()
     );
-    Case::write(&install::prepare_removal(&case.read().0).expect("reads"));
+    Case::write(&setup::prepare_removal(&case.read().0).expect("reads"));
     assert_eq!(
         fs::read_to_string(case.folder.path().join("trueup.hal")).expect("there"),
         "# mine\n"

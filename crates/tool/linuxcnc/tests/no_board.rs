@@ -8,9 +8,9 @@ use trueup_linuxcnc::configuration::{
     check::check,
     finding::{OffsetRequirements, Severity},
     hal_files::HalFiles,
-    ini_lines::IniLines,
-    install::{self, FileChange},
-    installed::{BridgeSettings, InstalledSetup},
+    ini_file::IniFile,
+    installed_setup::{BridgeSettings, InstalledSetup},
+    setup::{self, FileChange},
 };
 use trueup_machine::{Machine, MachineFile};
 
@@ -83,7 +83,7 @@ fn a_machine_file_with_heat_says_how_the_first_start_is_confirmed() {
         let path = folder.path().join("machine.ini");
         fs::write(&path, ini()).expect("writes");
         fs::write(folder.path().join("machine.hal"), hal() + more).expect("writes");
-        let ini = IniLines::read(&path).expect("reads");
+        let ini = IniFile::read(&path).expect("reads");
         let machine = MachineFile::parse(text, Path::new("m.toml")).expect("a machine file");
         let no_board = Some(BoardlessConfig::from_machine(&machine).expect("compiles"));
         let demand = OffsetRequirements {
@@ -103,12 +103,12 @@ fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>,
     let path = folder.path().join("machine.ini");
     fs::write(&path, ini_text).expect("writes");
     fs::write(folder.path().join("machine.hal"), hal()).expect("writes");
-    let read = || IniLines::read(&path).expect("reads");
+    let read = || IniFile::read(&path).expect("reads");
     let hal = HalFiles::read(&read()).expect("reads");
     let bridge =
         BridgeSettings { port: None, machine: Some("m.toml".into()), position_period_ms: 0 };
     let (report, changes) =
-        install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
+        setup::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
     let findings = report
         .findings
         .iter()
@@ -123,8 +123,7 @@ fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>,
         }
         let installed = InstalledSetup::from_ini(&read()).expect("set up");
         assert_eq!((installed.entry, installed.bridge), (entry, bridge.clone()));
-        let again =
-            install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads").1;
+        let again = setup::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads").1;
         assert!(again.is_empty(), "{again:?}");
     }
     (findings, content)
@@ -229,7 +228,7 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
     let path = folder.path().join("machine.ini");
     fs::write(&path, odd).expect("writes");
     fs::write(folder.path().join("machine.hal"), hal()).expect("writes");
-    let read = IniLines::read(&path).expect("reads");
+    let read = IniFile::read(&path).expect("reads");
     let with_board = OffsetRequirements { no_board: None, ..demand(OffsetEntryPoint::Joint) };
     let report = check(&read, &HalFiles::read(&read).expect("reads"), &with_board);
     let errors = report.findings.iter().filter(|finding| finding.severity == Severity::Error);

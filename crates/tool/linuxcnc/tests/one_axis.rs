@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use proptest::prelude::*;
-use trueup_linuxcnc::follower::{AxisReading, OffsetFollower, RateLimits};
+use trueup_linuxcnc::offset_follower::{AxisReading, OffsetFollower, RateLimits};
 
 const CYCLE_S: f64 = 1e-3;
 

@@ -13,7 +13,7 @@
 //! A rotation, a mirror or a scale that an earlier program left would turn the way to a centre: it ends the program before
 //! anything moves.
 //!
-//! Every program begins with a stop ([`Plan::first_stop_instructions`]), then sets the modes that it needs; no block moves at
+//! Every program begins with a stop ([`MeasurementPlan::first_stop_instructions`]), then sets the modes that it needs; no block moves at
 //! rapid, and none by a way from a place that the program does not know. No form depends on a work offset. Positions are whole micrometres, so that increments add up to
 //! exactly where they began.
 //!
@@ -26,13 +26,13 @@ mod linuxcnc;
 mod siemens;
 
 use self::dialect::{ArcBlocks, Cell, Dialect, MoveTargets, ProbeMove};
-use trueup_machine::{Machine, file::MachineKind};
+use trueup_machine::{Machine, machine_file::MachineKind};
 
 use crate::{
     arc::ArcMove,
-    plan::{Column, Plan, PlannedReading, Step},
+    plan::{Column, MeasurementPlan, PlannedReading, Step},
     probe::ProbedPoint,
-    refused::ProgramError,
+    program_error::ProgramError,
     template,
 };
 
@@ -76,7 +76,10 @@ impl Control {
 ///
 /// # Errors
 /// The control cannot do a step of the plan.
-pub fn generate_program(plan: &Plan, control: Control) -> Result<(String, String), ProgramError> {
+pub fn generate_program(
+    plan: &MeasurementPlan,
+    control: Control,
+) -> Result<(String, String), ProgramError> {
     if control == Control::Heidenhain && plan.steps.iter().any(|step| matches!(step, Step::Arc(_)))
     {
         return Err(ProgramError(format!(
@@ -115,7 +118,7 @@ pub fn generate_program(plan: &Plan, control: Control) -> Result<(String, String
 }
 
 fn write_steps(
-    plan: &Plan,
+    plan: &MeasurementPlan,
     steps: &[Step],
     dialect: &mut dyn Dialect,
     at_um: &mut [Option<i64>; 3],
@@ -172,7 +175,7 @@ fn write_steps(
 }
 
 fn compute_move_targets(
-    plan: &Plan,
+    plan: &MeasurementPlan,
     to_mm: &[Option<f64>; 3],
     at_um: &mut [Option<i64>; 3],
 ) -> MoveTargets {
@@ -188,7 +191,7 @@ fn compute_move_targets(
 }
 
 /// Returns the row of what touches have found.
-fn build_result_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
+fn build_result_row(plan: &MeasurementPlan, found: &ProbedPoint) -> Vec<Cell> {
     let reading = PlannedReading::from_probed_point(found);
     let cell = |column: &Column| {
         let name = template::column_name(column);

@@ -3,11 +3,11 @@
 //! It is taken from the plan's own steps and written by [`crate::control`] in front of them, so that no kind of
 //! measurement can leave it out or say something else than what is done.
 
-use crate::plan::{Plan, Step};
+use crate::plan::{MeasurementPlan, Step};
 
 const AXIS_NAMES: [&str; 3] = ["X", "Y", "Z"];
 
-impl Plan {
+impl MeasurementPlan {
     /// Returns the sentences of the stop that comes before anything moves or turns.
     #[must_use]
     pub fn first_stop_instructions(&self) -> Vec<String> {

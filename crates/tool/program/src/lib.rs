@@ -25,22 +25,22 @@
 pub mod arc;
 pub mod control;
 mod first_stop;
-mod kind;
+mod measurement_kind;
 pub mod options;
 pub mod plan;
 pub mod probe;
-mod refused;
+mod program_error;
 pub mod template;
 mod travel;
 
 use trueup_machine::Machine;
 
 pub use control::Control;
-pub use kind::speeds::{SpeedSegment, plan_speed_run};
-pub use kind::targets::{TargetRun, plan_target_run};
+pub use measurement_kind::spindle_speed_run::{SpeedSegment, plan_speed_run};
+pub use measurement_kind::target_run::{TargetRun, plan_target_run};
 pub use options::{MeasurementOptions, MeasuringInstrument};
-pub use plan::Plan;
-pub use refused::ProgramError;
+pub use plan::MeasurementPlan;
+pub use program_error::ProgramError;
 
 /// The kinds of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,19 +77,23 @@ pub fn create_plans(
     kind: MeasurementKind,
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<(Vec<Plan>, Vec<String>), ProgramError> {
+) -> Result<(Vec<MeasurementPlan>, Vec<String>), ProgramError> {
     options.check()?;
     match kind {
-        MeasurementKind::Backlash => kind::backlash::create_plans(machine, options),
-        MeasurementKind::Pitch => kind::pitch::create_plans(machine, options),
-        MeasurementKind::Straightness => kind::straightness::create_plans(machine, options),
-        MeasurementKind::Warmup => kind::warmup::create_plans(machine, options),
-        MeasurementKind::AxisHeat => kind::axis_heat::create_plans(machine, options),
-        MeasurementKind::Diagonal => kind::diagonal::create_plans(machine, options),
-        MeasurementKind::StepDiagonal => kind::step_diagonal::create_plans(machine, options),
-        MeasurementKind::Circle => kind::circle::create_plans(machine, options),
-        MeasurementKind::Square => kind::square::create_plans(machine, options),
-        MeasurementKind::Sphere => kind::sphere::create_plans(machine, options),
-        MeasurementKind::Plate => kind::plate::create_plans(machine, options),
+        MeasurementKind::Backlash => measurement_kind::backlash::create_plans(machine, options),
+        MeasurementKind::Pitch => measurement_kind::pitch::create_plans(machine, options),
+        MeasurementKind::Straightness => {
+            measurement_kind::straightness::create_plans(machine, options)
+        }
+        MeasurementKind::Warmup => measurement_kind::warmup::create_plans(machine, options),
+        MeasurementKind::AxisHeat => measurement_kind::axis_heat::create_plans(machine, options),
+        MeasurementKind::Diagonal => measurement_kind::diagonal::create_plans(machine, options),
+        MeasurementKind::StepDiagonal => {
+            measurement_kind::step_diagonal::create_plans(machine, options)
+        }
+        MeasurementKind::Circle => measurement_kind::circle::create_plans(machine, options),
+        MeasurementKind::Square => measurement_kind::square::create_plans(machine, options),
+        MeasurementKind::Sphere => measurement_kind::sphere::create_plans(machine, options),
+        MeasurementKind::Plate => measurement_kind::plate::create_plans(machine, options),
     }
 }

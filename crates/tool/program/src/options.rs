@@ -1,8 +1,8 @@
 //! Options of a measurement. The defaults are those of the papers or of ISO 230-2.
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 
-use crate::refused::ProgramError;
+use crate::program_error::ProgramError;
 
 /// By what is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

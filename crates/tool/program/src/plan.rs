@@ -132,7 +132,7 @@ pub enum Column {
 
 /// A program and its run file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Plan {
+pub struct MeasurementPlan {
     /// The name of both files, without an ending: `backlash-x`.
     pub name: String,
     /// Notes for the operator before it runs, a sentence each.
@@ -153,7 +153,7 @@ pub struct Plan {
     pub records: Vec<&'static str>,
 }
 
-impl Plan {
+impl MeasurementPlan {
     /// Returns the readings in their order.
     #[must_use]
     pub fn readings(&self) -> Vec<PlannedReading> {

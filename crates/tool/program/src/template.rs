@@ -1,15 +1,15 @@
 //! The run file to be filled in: a row for each reading, in the order of the program. Its first lines repeat
 //! what moves and what must be clear, for the page that is printed of it.
 
-use crate::plan::{Column, Plan, PlannedReading};
+use crate::plan::{Column, MeasurementPlan, PlannedReading};
 
 const LINEAR_AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
 const ROTARY_AXIS_NAMES: [&str; 3] = ["a", "b", "c"];
 
 /// Returns the run files of `plan`, by name: empty where something is to be measured.
 #[must_use]
-pub fn run_file_templates(plan: &Plan) -> Vec<(String, String)> {
-    let text = template_text(plan);
+pub fn run_file_templates(plan: &MeasurementPlan) -> Vec<(String, String)> {
+    let text = format_template(plan);
     if plan.records.is_empty() {
         return vec![(format!("{}.csv", plan.name), text)];
     }
@@ -19,7 +19,7 @@ pub fn run_file_templates(plan: &Plan) -> Vec<(String, String)> {
         .collect()
 }
 
-fn template_text(plan: &Plan) -> String {
+fn format_template(plan: &MeasurementPlan) -> String {
     let empty: Vec<&str> = plan.columns.iter().filter_map(empty_column_name).collect();
     let mut text = format!(
         "# {}: fill in {}, a row for each reading, errors as actual minus commanded\n",

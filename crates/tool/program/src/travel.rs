@@ -12,11 +12,11 @@
 
 use trueup_machine::{
     Machine,
-    file::{LinearAxis, MachineKind},
+    machine_file::{LinearAxis, MachineKind},
 };
 
 pub(crate) use crate::arc::round_to_micrometres;
-use crate::{options::MeasurementOptions, plan::Step, refused::ProgramError};
+use crate::{options::MeasurementOptions, plan::Step, program_error::ProgramError};
 
 /// An axis and where it may move, in mm, whole micrometres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,11 +30,11 @@ pub(crate) struct AxisTravel {
 
 /// The over-travel of the paper's own program (N10 … X50), in mm: so far an axis goes before it comes
 /// back, so that all play is taken up.
-const MAX_OVER_TRAVEL_MM: f64 = 50.0;
+const MAX_OVERTRAVEL_MM: f64 = 50.0;
 /// A short axis has less: this share of it.
-const MAX_OVER_TRAVEL_FRACTION: f64 = 0.05;
+const OVERTRAVEL_FRACTION: f64 = 0.05;
 /// The shortest range, in mm: its over-travel of 0.1 mm still takes up the play of a worn axis.
-const MIN_RANGE_MM: f64 = 2.0;
+const MIN_MEASURED_RANGE_MM: f64 = 2.0;
 /// An axis that turns more than this share of its way into a way along the tool is a tool axis; 1 % is the tilt of
 /// a spindle that is out of square by far.
 const MIN_TOOL_DIRECTION_COMPONENT: f64 = 0.01;
@@ -48,7 +48,7 @@ impl AxisTravel {
 
     /// Returns how far the axis goes beyond a target before it approaches it, in mm.
     pub(crate) fn over_travel_mm(&self) -> f64 {
-        round_to_micrometres(MAX_OVER_TRAVEL_MM.min(MAX_OVER_TRAVEL_FRACTION * self.length_mm()))
+        round_to_micrometres(MAX_OVERTRAVEL_MM.min(OVERTRAVEL_FRACTION * self.length_mm()))
     }
 
     /// Returns the ends between which targets may be, in mm.
@@ -64,11 +64,11 @@ impl AxisTravel {
 
     /// Returns the ends in the order in which the axis goes to them: the retracted one first.
     pub(crate) fn ordered_ends_mm(&self) -> [f64; 2] {
-        self.in_approach_order([self.low_mm, self.high_mm])
+        self.arrange_in_approach_order([self.low_mm, self.high_mm])
     }
 
     /// Returns rising places in the order in which the axis goes to them.
-    pub(crate) fn in_approach_order<T: AsMut<[f64]>>(&self, mut rising_mm: T) -> T {
+    pub(crate) fn arrange_in_approach_order<T: AsMut<[f64]>>(&self, mut rising_mm: T) -> T {
         if self.starts_at_upper_end() {
             rising_mm.as_mut().reverse();
         }
@@ -174,9 +174,9 @@ pub(crate) fn resolve_travel(
     if first.abs().max(last.abs()) > MAX_POSITION_MM {
         return Ok(Err(format!("{name} would be sent beyond {MAX_POSITION_MM} mm")));
     }
-    if high_mm - low_mm < MIN_RANGE_MM {
+    if high_mm - low_mm < MIN_MEASURED_RANGE_MM {
         return Ok(Err(format!(
-            "{name} from {low} to {high} mm leaves less than {MIN_RANGE_MM} mm within the \
+            "{name} from {low} to {high} mm leaves less than {MIN_MEASURED_RANGE_MM} mm within the \
              margin of {margin_mm} mm to the ends of travel. Give a longer --range \
              {name}=LOW:HIGH or a smaller --margin"
         )));

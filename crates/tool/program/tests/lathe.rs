@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use trueup_machine::{Machine, MachineFile, file::LinearAxis};
+use trueup_machine::{Machine, MachineFile, machine_file::LinearAxis};
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, Plan, control, create_plans, template,
+    Control, MeasurementKind, MeasurementOptions, MeasurementPlan, control, create_plans, template,
 };
 
 fn lathe() -> Machine {
@@ -21,7 +21,7 @@ fn ranges() -> MeasurementOptions {
     }
 }
 
-fn of(kind: MeasurementKind) -> Vec<Plan> {
+fn of(kind: MeasurementKind) -> Vec<MeasurementPlan> {
     create_plans(kind, &lathe(), &ranges()).expect("it fits").0
 }
 

@@ -3,10 +3,10 @@
 mod support;
 
 use support::{machine, parse, with_z};
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, control, create_plans,
-    plan::Step, template,
+    Control, MeasurementKind, MeasurementOptions, MeasurementPlan, MeasuringInstrument, control,
+    create_plans, plan::Step, template,
 };
 
 const KINDS: [MeasurementKind; 8] = [
@@ -20,7 +20,7 @@ const KINDS: [MeasurementKind; 8] = [
     MeasurementKind::Circle,
 ];
 
-fn of(kind: MeasurementKind, options: &MeasurementOptions) -> Vec<Plan> {
+fn of(kind: MeasurementKind, options: &MeasurementOptions) -> Vec<MeasurementPlan> {
     create_plans(kind, &machine(), options).expect("it fits").0
 }
 
@@ -323,7 +323,7 @@ fn a_horizontal_spindle_has_two_step_diagonals_and_the_notes_say_so() {
     let (made, notes) =
         create_plans(MeasurementKind::StepDiagonal, &machine, &options).expect("it fits");
     // Y and Z both begin where they are retracted.
-    let x_mm = |plan: &Plan| plan.readings()[0].position_mm[0];
+    let x_mm = |plan: &MeasurementPlan| plan.readings()[0].position_mm[0];
     assert_eq!(made.len(), 2);
     assert_ne!(x_mm(&made[0]), x_mm(&made[1]));
     assert!(made[1].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[1].then);

@@ -13,8 +13,8 @@ use std::{
 use support::{machine, with_z};
 use trueup_machine::MachineFile;
 use trueup_program::{
-    Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, SpeedSegment, control,
-    create_plans, plan::PlannedReading, plan::Step, plan_speed_run,
+    Control, MeasurementKind, MeasurementOptions, MeasurementPlan, MeasuringInstrument,
+    SpeedSegment, control, create_plans, plan::PlannedReading, plan::Step, plan_speed_run,
 };
 
 /// Where the interpreter says that the machine stands, by axis.
@@ -75,7 +75,7 @@ fn stands(program: &str) -> Option<Vec<Stand>> {
     Some(found)
 }
 
-fn check(plan: &Plan) -> bool {
+fn check(plan: &MeasurementPlan) -> bool {
     let text = control::generate_program(plan, Control::LinuxCnc).expect("it is written").1;
     let Some(stands) = stands(&text) else { return false };
     let readings = plan.readings();

@@ -11,7 +11,7 @@ use trueup_machine::{
         ErrorComponents, ReferenceModel, RowInputs, apply_constant_terms, required_columns,
         sensor_counts_from_elongation,
     },
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 use trueup_store::calibration::{calibration_crc, decode};
 
@@ -69,7 +69,7 @@ impl CompensationModel {
     #[must_use]
     pub fn from_machine(machine: Machine) -> Self {
         let crc = compile(&machine).ok().map(|compiled| compiled.crc());
-        let machine = machine.with_compensated_terms().into_owned();
+        let machine = machine.with_only_compensated_terms().into_owned();
         let model = ReferenceModel::from_owned(machine.clone());
         let machine = apply_constant_terms(Cow::Owned(machine)).0.into_owned();
         Self { machine, model, crc, has_counts: true }
@@ -190,8 +190,9 @@ impl CompensationModel {
 
     fn label_contributions(&self, parts: &ErrorComponents) -> Vec<OffsetContribution> {
         let machine = &self.machine;
-        let any_axis =
-            |has: fn(&trueup_machine::file::AxisModel) -> bool| machine.axes.iter().any(has);
+        let any_axis = |has: fn(&trueup_machine::machine_file::AxisModel) -> bool| {
+            machine.axes.iter().any(has)
+        };
         [
             ("spindle growth", machine.has_elongation(), parts.tool_um),
             ("axis heat", any_axis(|axis| axis.thermal.is_some()), parts.thermal_um),

@@ -9,7 +9,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`live`] | the loop: what comes from outside goes into the state, the state is drawn |
+//! | [`event_loop`] | the loop: what comes from outside goes into the state, the state is drawn |
 //! | [`state`] | all that the screen knows, and what a key does; no terminal, no clock |
 //! | [`view`] | the state as lines of a terminal of any size |
 //! | `compensation_model` | volts, codes and the shares of the causes, by the machine file or the board's own calibration |
@@ -18,8 +18,8 @@
 #![forbid(unsafe_code)]
 
 pub(crate) mod compensation_model;
+pub mod event_loop;
 pub mod indicator;
-pub mod live;
 pub mod state;
 pub mod trend;
 pub mod view;

@@ -7,17 +7,17 @@ use trueup_client::{
     state_text::{flag_names, offset_um, pending_action},
     status::BoardStatus,
 };
-use trueup_core::{cnc::Output, dimensions::CHANNEL_COUNT};
+use trueup_core::{cnc::Output, design_parameters::TEMPERATURE_CHANNEL_COUNT};
 use trueup_link::{
     frame::Frame,
     receiver::{FrameCounters, OffsetReceiver},
     status::StatusItem,
 };
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
 use crate::{
     compensation_model::{CompensationModel, LiveValues, OffsetContribution},
-    trend::{DIFFERENCE_SERIES_INDEX, SERIES_COUNT, Trend},
+    trend::{DIFFERENCE_SERIES_INDEX, TREND_SERIES_COUNT, TrendBuffer},
 };
 
 /// Offsets older than this are not shown as being of now: 1 s is a thousand cycles.
@@ -48,7 +48,7 @@ pub(crate) enum PressedKey {
 
 /// An action for the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Action {
+pub(crate) enum ScreenAction {
     /// End.
     Quit,
     /// Begin a recording.
@@ -102,7 +102,7 @@ pub struct GaugeState {
 #[derive(Clone, Copy, Debug, Default)]
 struct ReceptionTimes {
     growth: Option<f64>,
-    temperatures: [Option<f64>; CHANNEL_COUNT / 2],
+    temperatures: [Option<f64>; TEMPERATURE_CHANNEL_COUNT / 2],
     state: Option<f64>,
 }
 
@@ -133,7 +133,7 @@ pub struct ScreenState {
     /// The share of each cause.
     pub shares: Vec<OffsetContribution>,
     /// The last minutes.
-    pub trend: Trend,
+    pub trend: TrendBuffer,
     /// Which of the series is drawn.
     pub series: usize,
     /// Frames in the last second.
@@ -176,7 +176,7 @@ impl ScreenState {
             is_helping: false,
             board: BoardStatus::default(),
             shares: Vec::new(),
-            trend: Trend::default(),
+            trend: TrendBuffer::default(),
             series: 0,
             frames_per_s: 0.0,
             malformed_lines: 0,
@@ -224,13 +224,13 @@ impl ScreenState {
         &mut self,
         reading: Result<f64, String>,
         now_s: f64,
-    ) -> Option<Action> {
+    ) -> Option<ScreenAction> {
         self.now_s = now_s;
         match reading {
             Ok(um) => {
                 self.gauge.latest = Some((um, now_s));
                 self.gauge.connection_error = None;
-                self.prompt.take().is_some().then_some(Action::Mark(um))
+                self.prompt.take().is_some().then_some(ScreenAction::Mark(um))
             }
             Err(why) => {
                 self.gauge.connection_error = Some(why);
@@ -248,7 +248,7 @@ impl ScreenState {
         }
         let growth_um = self.growth_um();
         // What is old says nothing of now.
-        let centi_c: [Option<i16>; CHANNEL_COUNT] = std::array::from_fn(|channel| {
+        let centi_c: [Option<i16>; TEMPERATURE_CHANNEL_COUNT] = std::array::from_fn(|channel| {
             self.board.centi_c[channel].filter(|_| self.stale_temperature_age_s(channel).is_none())
         });
         self.shares = match &mut self.laws {
@@ -258,7 +258,7 @@ impl ScreenState {
             }
             None => Vec::new(),
         };
-        let mut values = [f64::NAN; SERIES_COUNT];
+        let mut values = [f64::NAN; TREND_SERIES_COUNT];
         values[0] = growth_um.unwrap_or(f64::NAN);
         values[1..4].copy_from_slice(&self.offset_um().unwrap_or([f64::NAN; 3]));
         for (value, centi_c) in values[4..].iter_mut().zip(centi_c) {
@@ -269,22 +269,26 @@ impl ScreenState {
     }
 
     /// Takes a key. Returns the action that it requests.
-    pub(crate) fn handle_key(&mut self, key: PressedKey) -> Option<Action> {
+    pub(crate) fn handle_key(&mut self, key: PressedKey) -> Option<ScreenAction> {
         if key == PressedKey::Interrupt {
-            return Some(Action::Quit);
+            return Some(ScreenAction::Quit);
         }
         if self.prompt.is_some() {
             return self.handle_prompt_key(key);
         }
         let is_helping = std::mem::take(&mut self.is_helping);
         match key {
-            PressedKey::Char('q' | 'Q') => return Some(Action::Quit),
+            PressedKey::Char('q' | 'Q') => return Some(ScreenAction::Quit),
             PressedKey::Char('r' | 'R') => {
                 let is_recording = self.recording.is_some();
-                return Some(if is_recording { Action::EndRecording } else { Action::Record });
+                return Some(if is_recording {
+                    ScreenAction::EndRecording
+                } else {
+                    ScreenAction::Record
+                });
             }
             PressedKey::Char('g' | 'G') => return self.request_gauge_reading(),
-            PressedKey::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
+            PressedKey::Char('u' | 'U') if self.marks > 0 => return Some(ScreenAction::Unmark),
             PressedKey::Char('u' | 'U') => {
                 self.show_message("no reading of the gauge is in the recording")
             }
@@ -295,14 +299,14 @@ impl ScreenState {
         None
     }
 
-    fn request_gauge_reading(&mut self) -> Option<Action> {
+    fn request_gauge_reading(&mut self) -> Option<ScreenAction> {
         if self.recording.is_none() {
             self.show_message("press r first: a gauge reading is written into a recording");
             return None;
         }
         match self.gauge.latest {
             Some((um, at_s)) if self.gauge.is_live && self.now_s - at_s <= MAX_GAUGE_AGE_S => {
-                Some(Action::Mark(um))
+                Some(ScreenAction::Mark(um))
             }
             _ => {
                 self.prompt = Some(String::new());
@@ -311,7 +315,7 @@ impl ScreenState {
         }
     }
 
-    fn handle_prompt_key(&mut self, key: PressedKey) -> Option<Action> {
+    fn handle_prompt_key(&mut self, key: PressedKey) -> Option<ScreenAction> {
         let text = self.prompt.as_mut()?;
         match key {
             PressedKey::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
@@ -322,7 +326,7 @@ impl ScreenState {
                 Ok(um) => {
                     self.prompt = None;
                     self.gauge.latest = Some((um, self.now_s));
-                    return Some(Action::Mark(um));
+                    return Some(ScreenAction::Mark(um));
                 }
                 Err(_) => self
                     .show_message("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
@@ -335,7 +339,7 @@ impl ScreenState {
 
     /// The next series of which something is known.
     fn select_next_series(&mut self) {
-        let after = (1..=SERIES_COUNT).map(|step| (self.series + step) % SERIES_COUNT);
+        let after = (1..=TREND_SERIES_COUNT).map(|step| (self.series + step) % TREND_SERIES_COUNT);
         let known = after.into_iter().find(|which| !self.trend.series(*which).is_empty());
         self.series = known.unwrap_or(self.series);
     }
@@ -463,8 +467,8 @@ impl ScreenState {
 
     /// Halves of offsets that were dropped because their other half never came.
     #[must_use]
-    pub fn unpaired_count(&self) -> u32 {
-        self.offsets.unpaired_count()
+    pub fn unpaired_frame_count(&self) -> u32 {
+        self.offsets.unpaired_frame_count()
     }
 
     /// Returns the tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.

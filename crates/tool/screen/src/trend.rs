@@ -5,21 +5,21 @@ use std::collections::VecDeque;
 /// So far back, in s: what a finger, a spindle's start and the first of the heat take.
 pub(crate) const TREND_WINDOW_S: f64 = 300.0;
 /// The number of series: the growth, three offsets, eight temperatures, and the gauge minus the bridge.
-pub(crate) const SERIES_COUNT: usize = 13;
+pub(crate) const TREND_SERIES_COUNT: usize = 13;
 /// The last of them.
 pub(crate) const DIFFERENCE_SERIES_INDEX: usize = 12;
 
 /// A ring of samples.
 #[derive(Clone, Debug, Default)]
-pub struct Trend {
-    samples: VecDeque<(f64, [f64; SERIES_COUNT])>,
+pub struct TrendBuffer {
+    samples: VecDeque<(f64, [f64; TREND_SERIES_COUNT])>,
     /// Readings of the gauge that were written down: when, and what, in µm.
     marks: VecDeque<(f64, f64)>,
 }
 
-impl Trend {
+impl TrendBuffer {
     /// Adds what is known at `time_s`; NaN: it is not. Drops what is older than `TREND_WINDOW_S`.
-    pub fn push(&mut self, time_s: f64, values: [f64; SERIES_COUNT]) {
+    pub fn push(&mut self, time_s: f64, values: [f64; TREND_SERIES_COUNT]) {
         self.samples.push_back((time_s, values));
         while self.samples.front().is_some_and(|(at, _)| *at < time_s - TREND_WINDOW_S) {
             self.samples.pop_front();
@@ -61,9 +61,9 @@ mod tests {
 
     #[test]
     fn it_keeps_five_minutes_and_leaves_out_what_is_not_known() {
-        let mut trend = Trend::default();
+        let mut trend = TrendBuffer::default();
         for second in 0..=400_u16 {
-            let mut values = [f64::from(second); SERIES_COUNT];
+            let mut values = [f64::from(second); TREND_SERIES_COUNT];
             values[1] = if second % 2 == 0 { f64::NAN } else { 1.0 };
             trend.push(second.into(), values);
         }

@@ -1,8 +1,8 @@
 //! The state as lines of a terminal of any size: what matters most stands on top, and where there is no
 //! room the trend goes first, then the shares.
 
-mod lines;
 pub(crate) mod svg;
+mod text_lines;
 mod trend;
 
 use ratatui::{
@@ -71,11 +71,11 @@ impl Theme {
 pub fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
     let area = frame.area();
     let width = area.width.into();
-    let top = lines::status_lines(state, theme, width);
-    let table = lines::offset_lines(state, theme, true);
-    let short = lines::offset_lines(state, theme, false);
-    let below = lines::footer_lines(state, theme, width);
-    let alarms = lines::alarm_lines(state, theme, width);
+    let top = text_lines::status_lines(state, theme, width);
+    let table = text_lines::offset_lines(state, theme, true);
+    let short = text_lines::offset_lines(state, theme, false);
+    let below = text_lines::footer_lines(state, theme, width);
+    let alarms = text_lines::alarm_lines(state, theme, width);
     let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let message = message_lines(state, theme, width);
     // The lines of messages and the line of keys.
@@ -133,7 +133,7 @@ fn message_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'s
             }
         }
     };
-    let mut lines = lines::wrap_text(&text, width, style);
+    let mut lines = text_lines::wrap_text(&text, width, style);
     lines.truncate(MAX_MESSAGE_LINES);
     lines
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use trueup_client::{
     cnc::CncState,
     connection::ConnectionEvent,
-    object::{self, ObjectAddress},
     poll::{ObjectPoller, PollOutcome},
+    sdo_object::{self, ObjectAddress},
     state_text::{flag_names, offset_um},
     status::BoardStatus,
 };
@@ -16,7 +16,7 @@ use trueup_link::{
     frame::Frame,
     frames::{self, NmtState as NodeState},
     receiver::OffsetReceiver,
-    slcan::Event,
+    slcan::AdapterMessage,
     status::StatusItem,
 };
 use trueup_output::escape::escape_line;
@@ -31,9 +31,9 @@ const MAX_STATUS_AGE: Duration = Duration::from_millis(4_600);
 const IDENTITY_POLL_INTERVAL: Duration = Duration::from_secs(600);
 /// The questions, in this order, one after the other.
 const IDENTITY_OBJECTS: [ObjectAddress; 3] =
-    [object::SERIAL_NUMBER, object::MACHINE_NAME, object::SOFTWARE_VERSION];
+    [sdo_object::SERIAL_NUMBER, sdo_object::MACHINE_NAME, sdo_object::SOFTWARE_VERSION];
 /// Maximum length of a name, in bytes.
-const MAX_NAME_LENGTH: usize = 64;
+const MAX_NAME_BYTES: usize = 64;
 
 /// A bridge, as far as it is known.
 pub struct BridgeMonitor {
@@ -86,7 +86,7 @@ impl BridgeMonitor {
                 self.offsets = OffsetReceiver::new();
                 (self.output, self.status_at) = (None, None);
             }
-            ConnectionEvent::Received(Event::Frame(frame)) => {
+            ConnectionEvent::Received(AdapterMessage::Frame(frame)) => {
                 return self.handle_frame(&frame, now);
             }
             ConnectionEvent::Received(_) | ConnectionEvent::Late => {}
@@ -116,10 +116,10 @@ impl BridgeMonitor {
     fn handle_response(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         let running = self.polls.iter().position(ObjectPoller::is_running)?;
         match self.polls[running].receive(frame, now) {
-            PollOutcome::Ask(request) => Some(request),
+            PollOutcome::Request(request) => Some(request),
             PollOutcome::Bytes(bytes) => {
                 let text = || {
-                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME_LENGTH)]);
+                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME_BYTES)]);
                     Some(escape_line(text.trim_end_matches('\0'))).filter(|text| !text.is_empty())
                 };
                 match running {
@@ -131,7 +131,7 @@ impl BridgeMonitor {
                 }
                 None
             }
-            PollOutcome::Refused | PollOutcome::Nothing => None,
+            PollOutcome::Rejected | PollOutcome::Nothing => None,
         }
     }
 

@@ -15,7 +15,7 @@ use rumqttc::{
 };
 
 /// The ports of MQTT without and with TLS.
-const DEFAULT_PORTS: [u16; 2] = [1883, 8883];
+const DEFAULT_MQTT_PORTS: [u16; 2] = [1883, 8883];
 
 /// A broker.
 #[derive(Clone)]
@@ -66,7 +66,7 @@ impl BrokerConfig {
                 let port = port.parse().ok().filter(|port| *port != 0);
                 (host, port.with_context(|| format!("--mqtt \"{url}\": {URL_SYNTAX}"))?)
             }
-            _ => (rest, DEFAULT_PORTS[usize::from(is_tls)]),
+            _ => (rest, DEFAULT_MQTT_PORTS[usize::from(is_tls)]),
         };
         let is_name = |c: char| c.is_ascii_alphanumeric() || "-._[]:%".contains(c);
         ensure!(!host.is_empty() && host.chars().all(is_name), "--mqtt \"{url}\": {URL_SYNTAX}");

@@ -20,7 +20,7 @@
 //! | [`recorder`] | rows and events, onto the disk |
 //! | `identity` | the identity of a publisher |
 //! | [`mod@publisher`] | all of it, from the beginning to the end |
-//! | [`shared`] | what the threads share; the thread of the line |
+//! | [`shared_state`] | what the threads share; the thread of the line |
 //! | [`clock`] | the time of day, and whether it was set |
 //!
 //! The line is read in a thread that waits for no disk and no network. Records go out at least once and carry an
@@ -29,13 +29,13 @@
 pub mod bridge;
 pub mod broker;
 pub mod clock;
-pub(crate) mod identity;
 pub(crate) mod metrics;
 pub mod mqtt;
 pub mod mtconnect;
 pub mod publisher;
+pub(crate) mod publisher_identity;
 pub mod recorder;
-pub mod shared;
+pub mod shared_state;
 pub mod snapshot;
 pub mod sparkplug;
 pub mod spool;

@@ -3,7 +3,7 @@
 //! The order is part of what is published: the alias of a metric is its place.
 
 use trueup_client::state_text::quality_name;
-use trueup_core::dimensions::CHANNEL_COUNT;
+use trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
 
 use crate::snapshot::BridgeSnapshot;
 
@@ -35,7 +35,7 @@ pub struct Metric {
 pub(crate) const FLAGS_METRIC: &str = "Bridge/Flags";
 const OFFSET_METRICS: [&str; 3] = ["Offset/X", "Offset/Y", "Offset/Z"];
 const POSITION_METRICS: [&str; 3] = ["Position/X", "Position/Y", "Position/Z"];
-const TEMPERATURE_METRICS: [&str; CHANNEL_COUNT] = [
+const TEMPERATURE_METRICS: [&str; TEMPERATURE_CHANNEL_COUNT] = [
     "Temperature/0",
     "Temperature/1",
     "Temperature/2",

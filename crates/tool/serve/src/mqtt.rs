@@ -5,7 +5,7 @@
 //! with the same identifiers. So no state of the client library has to survive a connection.
 
 mod connection;
-mod host;
+mod primary_host;
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -18,13 +18,13 @@ use std::{
 use rumqttc::{Publish, QoS};
 
 use self::{
-    connection::{Connection, ConnectionEvent},
-    host::PrimaryHost,
+    connection::{ConnectionEvent, MqttConnection},
+    primary_host::PrimaryHost,
 };
 use crate::{
     broker::BrokerConfig,
     clock,
-    shared::SharedState,
+    shared_state::SharedState,
     sparkplug::{
         self,
         node::{EdgeNode, NodeStatistics},
@@ -104,8 +104,8 @@ fn run_connection(
     reported: &mut Option<String>,
 ) -> String {
     (publisher.keep_bd_seq)(node.begin_connection());
-    let will = node.death_message(clock::now_ms());
-    let mut connection = Connection::open(&publisher.broker, &publisher.id, &will);
+    let will = node.build_death_message(clock::now_ms());
+    let mut connection = MqttConnection::open(&publisher.broker, &publisher.id, &will);
     let mut link = BrokerSession {
         shared,
         publisher,
@@ -132,13 +132,13 @@ fn run_connection(
                 }
                 ConnectionEvent::Sent { id, number } => drop(link.open.insert(id, number)),
                 ConnectionEvent::Acknowledged(id) => link.record_acknowledgement(id),
-                ConnectionEvent::Came(message) => link.handle_message(&message),
+                ConnectionEvent::MessageReceived(message) => link.handle_message(&message),
                 ConnectionEvent::Ended(why) => return why,
             }
         }
         let is_lost = link.host.as_ref().is_some_and(|host| !host.is_online()) && link.is_born;
         if is_lost || shared.is_stop_requested() {
-            let death = node.death_message(clock::now_ms());
+            let death = node.build_death_message(clock::now_ms());
             connection.publish(&death.topic, death.payload, false);
             connection.disconnect(SHUTDOWN_TIMEOUT);
             return "the primary host application is offline".into();
@@ -167,7 +167,7 @@ struct BrokerSession<'a> {
 }
 
 impl BrokerSession<'_> {
-    fn subscribe_topics(&self, connection: &Connection) {
+    fn subscribe_topics(&self, connection: &MqttConnection) {
         let name = &self.publisher.name;
         connection.subscribe(&sparkplug::topic("NCMD", name, None), QoS::AtLeastOnce);
         connection.subscribe(&sparkplug::topic("NBIRTH", name, None), QoS::AtMostOnce);
@@ -208,11 +208,11 @@ impl BrokerSession<'_> {
                 None => self.count_malformed(topic),
             }
         } else if topic.contains("BIRTH/") {
-            self.receive_birth(topic, &message.payload);
+            self.report_duplicate_publisher(topic, &message.payload);
         }
     }
 
-    fn receive_birth(&mut self, topic: &str, payload: &[u8]) {
+    fn report_duplicate_publisher(&mut self, topic: &str, payload: &[u8]) {
         let is_own = self.sent.contains(&self.hasher.hash_one((topic, payload)));
         let is_reported = self.others.iter().any(|other| other == topic);
         if is_own || is_reported || self.others.len() >= MAX_REPORTED_TOPICS {
@@ -235,7 +235,7 @@ impl BrokerSession<'_> {
     }
 
     /// Publishes what is due.
-    fn publish_due_messages(&mut self, connection: &mut Connection, node: &mut EdgeNode) {
+    fn publish_due_messages(&mut self, connection: &mut MqttConnection, node: &mut EdgeNode) {
         let now = Instant::now();
         let may_be_born = self.born_at.is_none_or(|at| now - at >= MIN_REBIRTH_INTERVAL);
         if self.is_birth_requested && may_be_born {
@@ -261,7 +261,7 @@ impl BrokerSession<'_> {
         while self.is_born
             && self.open.len() + connection.unsent_count() < MAX_UNACKNOWLEDGED_RECORDS
         {
-            let Some(record) = self.shared.lock_spool().next_to_send(now) else { break };
+            let Some(record) = self.shared.lock_spool().next_unsent_record(now) else { break };
             let number = record.number;
             if !connection.publish_record(record) {
                 self.shared.lock_spool().requeue(number);
@@ -272,7 +272,7 @@ impl BrokerSession<'_> {
 
     fn send_messages(
         &mut self,
-        connection: &mut Connection,
+        connection: &mut MqttConnection,
         messages: Vec<sparkplug::node::MqttMessage>,
     ) {
         for message in messages {

@@ -14,17 +14,17 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
-use trueup_client::port::Port;
+use trueup_client::port::PortAddress;
 
 use crate::{
     bridge::BridgeMonitor,
     broker::BrokerConfig,
     clock,
-    identity::{self, PublisherIdentity},
     mqtt::{self, MqttPublisherConfig},
-    mtconnect::{adapter::Adapter, devices},
+    mtconnect::{adapter::MtconnectAdapter, devices},
+    publisher_identity::{self, PublisherIdentity},
     recorder::Recorder,
-    shared::{self, SharedState},
+    shared_state::{self, SharedState},
     snapshot::{BridgeIdentity, BridgeSnapshot},
     sparkplug::node::EdgeNode,
     spool::Spool,
@@ -38,7 +38,7 @@ const ONCE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The ends of a publisher, and how it publishes.
 pub struct PublisherOptions {
     /// The bridges.
-    pub ports: Vec<Port>,
+    pub ports: Vec<PortAddress>,
     /// The name of the edge node.
     pub name: String,
     /// The folder of the spool.
@@ -85,9 +85,9 @@ pub fn run(
     let mut threads = Vec::new();
     for (place, port) in options.ports.iter().enumerate() {
         let port = port.clone();
-        threads.push(shared::spawn_bridge_thread(shared.clone(), place, move || port.open()));
+        threads.push(shared_state::spawn_bridge_thread(shared.clone(), place, move || port.open()));
     }
-    let adapter = Adapter::default();
+    let adapter = MtconnectAdapter::default();
     if !options.mtconnect.is_empty() {
         let listener = TcpListener::bind(&options.mtconnect[..])
             .with_context(|| format!("nothing can listen at {:?}", options.mtconnect))?;
@@ -132,7 +132,7 @@ fn spawn_mqtt_publisher(
     broker: BrokerConfig,
     report: impl Fn(&str) + Send + 'static,
 ) -> Result<thread::JoinHandle<()>> {
-    let PublisherIdentity { id, bd_seq } = identity::read_or_create(&options.spool)?;
+    let PublisherIdentity { id, bd_seq } = publisher_identity::read_or_create(&options.spool)?;
     let (folder, retained) = (options.spool.clone(), id.clone());
     let publisher = MqttPublisherConfig {
         broker,
@@ -141,7 +141,8 @@ fn spawn_mqtt_publisher(
         primary_host: options.primary_host.clone(),
         // If it is lost, the numbers begin anew.
         keep_bd_seq: Box::new(move |bd_seq| {
-            identity::write(&folder, &PublisherIdentity { id: retained.clone(), bd_seq }).ok();
+            publisher_identity::write(&folder, &PublisherIdentity { id: retained.clone(), bd_seq })
+                .ok();
         }),
         report: Box::new(report),
     };
@@ -154,7 +155,7 @@ fn spawn_mqtt_publisher(
 struct MainLoop<'a> {
     options: &'a PublisherOptions,
     shared: &'a SharedState,
-    adapter: Adapter,
+    adapter: MtconnectAdapter,
     /// The bridges that `Devices.devices_xml` describes.
     described: Option<Vec<BridgeIdentity>>,
 }

@@ -11,7 +11,7 @@ use std::{
 
 use crate::{
     clock::ClockStepDetector,
-    shared::SharedState,
+    shared_state::SharedState,
     snapshot::{BridgeEvent, BridgeSnapshot, detect_events},
     sparkplug::{device_id, event_record, snapshot_record},
     spool::NewRecord,

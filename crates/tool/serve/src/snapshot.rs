@@ -1,7 +1,7 @@
 //! The state of a bridge at one moment, and the events from one moment to the next.
 
 use trueup_client::state_text::quality_name;
-use trueup_core::{cnc::OffsetQuality, dimensions::CHANNEL_COUNT};
+use trueup_core::{cnc::OffsetQuality, design_parameters::TEMPERATURE_CHANNEL_COUNT};
 
 /// Why a bridge is down whose line is open.
 pub(crate) const NO_OFFSETS_REASON: &str = "no offsets come";
@@ -33,7 +33,7 @@ pub struct BridgeSnapshot {
     /// Why they are not simply the full correction.
     pub flags: Vec<&'static str>,
     /// By channel.
-    pub temperature_c: [Option<f64>; CHANNEL_COUNT],
+    pub temperature_c: [Option<f64>; TEMPERATURE_CHANNEL_COUNT],
     /// Of the spindle, by its sensor.
     pub elongation_um: Option<f64>,
     /// The commanded positions of X, Y and Z, where the CNC is on this line.

@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// The group of every edge node.
-pub(crate) const GROUP_ID: &str = "trueup";
+pub(crate) const SPARKPLUG_GROUP_ID: &str = "trueup";
 /// The metric by which a host requests all births again.
 pub(crate) const REBIRTH_METRIC: &str = "Node Control/Rebirth";
 /// The unit of a metric, as hosts read it.
@@ -29,7 +29,7 @@ const UNIT_PROPERTY: &str = "engUnit";
 #[must_use]
 pub fn topic(kind: &str, node: &str, device: Option<&str>) -> String {
     let device = device.map(|device| format!("/{device}")).unwrap_or_default();
-    format!("spBv1.0/{GROUP_ID}/{kind}/{node}{device}")
+    format!("spBv1.0/{SPARKPLUG_GROUP_ID}/{kind}/{node}{device}")
 }
 
 /// Returns the topic of a host application's state.
@@ -42,7 +42,7 @@ pub(crate) fn state_topic(host: &str) -> String {
 #[must_use]
 pub(crate) fn non_sparkplug_topic(node: &str, device: Option<&str>, kind: &str) -> String {
     let device = device.map(|device| format!("/{device}")).unwrap_or_default();
-    format!("{GROUP_ID}/{node}{device}/{kind}")
+    format!("{SPARKPLUG_GROUP_ID}/{node}{device}/{kind}")
 }
 
 /// Returns the identifier of a device: the serial number of its board.

@@ -1,7 +1,7 @@
 //! The spool: records and events on disk from the moment at which they count as recorded until the broker has them.
 //!
 //! ```text
-//!  append ─► file, synced ─► next_to_send ─► acknowledge ─► (RESEND passes) ─► settled, removed
+//!  append ─► file, synced ─► next_unsent_record ─► acknowledge ─► (RESEND passes) ─► settled, removed
 //!                                 ▲                                │
 //!                                 └── rewind: the connection broke ◄┘
 //! ```
@@ -36,7 +36,7 @@ use self::segment::{CRC, IndexEntry, SpoolRecord, decode, encode, scan};
 /// A record is kept for this long after its acknowledgement.
 pub(crate) const RETENTION_TIME: Duration = Duration::from_secs(60);
 /// A file that cannot be read is tried again for this long.
-const READ_RETRY_TIME: Duration = Duration::from_secs(60);
+const READ_RETRY_TIMEOUT: Duration = Duration::from_secs(60);
 /// A file that has reached this length is followed by a new one.
 const MAX_SEGMENT_BYTES: u64 = 1 << 20;
 const SEGMENT_EXTENSION: &str = "spool";
@@ -122,7 +122,7 @@ impl Spool {
                 folder.display()
             )
         })?;
-        let settled = read_settled_number(folder);
+        let settled = read_settled_record_number(folder);
         let mut spool = Self {
             folder: folder.into(),
             limit,
@@ -251,12 +251,12 @@ impl Spool {
             self.sent = self.sent.max(self.settled);
             oldest.remove();
         }
-        self.prune_acknowledged();
+        self.prune_acknowledged_numbers();
     }
 
     /// Returns the next record that was not sent since the last [`Self::rewind`]; `None`: there is none, or its file cannot
     /// be read now.
-    pub fn next_to_send(&mut self, now: Instant) -> Option<SpoolRecord> {
+    pub fn next_unsent_record(&mut self, now: Instant) -> Option<SpoolRecord> {
         loop {
             let sent = self.sent;
             let first = |segment: &SpoolSegment| segment.entries_after(sent).first().copied();
@@ -277,9 +277,9 @@ impl Spool {
                     let is_first = self.unreadable_since.is_none();
                     let since = *self.unreadable_since.get_or_insert(now);
                     if is_first {
-                        self.reports.push(SpoolReport::file_unreadable(&segment.path, &error));
+                        self.reports.push(SpoolReport::unreadable_file(&segment.path, &error));
                     }
-                    if now.saturating_duration_since(since) < READ_RETRY_TIME {
+                    if now.saturating_duration_since(since) < READ_RETRY_TIMEOUT {
                         return None;
                     }
                     Some(error)
@@ -319,12 +319,12 @@ impl Spool {
         let done = open.take_while(|entry| self.acknowledged.get(&entry.number).is_some_and(old));
         self.settled = done.last().map_or(before, |entry| entry.number);
         if self.settled != before {
-            self.prune_acknowledged();
+            self.prune_acknowledged_numbers();
             self.remove_settled_segments();
         }
     }
 
-    fn prune_acknowledged(&mut self) {
+    fn prune_acknowledged_numbers(&mut self) {
         self.acknowledged = self.acknowledged.split_off(&(self.settled + 1));
     }
 
@@ -340,7 +340,7 @@ impl Spool {
         // If it is lost, some records are sent once more.
         let path = self.folder.join(SETTLED_FILE_NAME);
         let new = path.with_extension("new");
-        let text = format_settled_number(self.settled);
+        let text = format_settled_record_number(self.settled);
         fs::write(&new, text).and_then(|()| fs::rename(&new, &path)).ok();
     }
 
@@ -381,15 +381,15 @@ fn parse_file_name(path: &Path) -> Option<(u64, u64)> {
     Some((first.parse().ok()?, u64::from_str_radix(id, 16).ok()?))
 }
 
-fn read_settled_number(folder: &Path) -> u64 {
+fn read_settled_record_number(folder: &Path) -> u64 {
     let text = fs::read_to_string(folder.join(SETTLED_FILE_NAME)).unwrap_or_default();
     let number = text.split(' ').next().and_then(|part| part.parse().ok());
     // A number that is too high by a flipped bit would remove records that were never sent.
-    number.filter(|number| text == format_settled_number(*number)).unwrap_or(0)
+    number.filter(|number| text == format_settled_record_number(*number)).unwrap_or(0)
 }
 
 /// Returns the text of the file [`SETTLED_FILE_NAME`]: the number and its checksum.
-fn format_settled_number(number: u64) -> String {
+fn format_settled_record_number(number: u64) -> String {
     format!("{number} {:08x}\n", CRC.checksum(&number.to_le_bytes()))
 }
 

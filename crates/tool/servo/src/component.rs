@@ -3,6 +3,6 @@
 /// Name of the static library.
 pub const LIBRARY_FILE_NAME: &str = "libtrueup_servo.a";
 /// Source of the component.
-pub const C_SOURCE: &str = include_str!("../hal/trueup_node.c");
+pub const COMPONENT_C_SOURCE: &str = include_str!("../hal/trueup_node.c");
 /// The C interface of the library.
-pub const C_HEADER: &str = include_str!("../hal/trueup_servo.h");
+pub const COMPONENT_C_HEADER: &str = include_str!("../hal/trueup_servo.h");

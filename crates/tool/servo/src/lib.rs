@@ -10,15 +10,15 @@
 //! of LinuxCNC replace the measuring inputs of a board: [`sensor`] makes codes of volts, [`temperature`] the
 //! deliveries of thermometers of degrees.
 //!
-//! The crate is linked as a static library to a component in C, which has the pins ([`abi`], the only file with
+//! The crate is linked as a static library to a component in C, which has the pins ([`ffi`], the only file with
 //! `unsafe`). Nothing in a servo period allocates, makes a system call or panics, and every loop has a bound.
 #![no_std]
 #![deny(unsafe_code)]
 
-pub mod abi;
-#[cfg(trueup_library)]
-mod abort_handler;
 pub mod component;
+pub mod ffi;
+#[cfg(trueup_library)]
+mod panic_handler;
 pub mod sensor;
 pub mod servo;
 pub mod temperature;
@@ -26,4 +26,4 @@ pub mod temperature;
 #[cfg(test)]
 extern crate std;
 
-pub use servo::{Outputs, Servo, ServoInputs, ServoSettings};
+pub use servo::{ComponentOutputs, Servo, ServoInputs, ServoSettings};

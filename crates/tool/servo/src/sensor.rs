@@ -14,7 +14,7 @@
 //! A signal that turns with the spindle faster than half the rate of samples looks like a slow one: a spindle speed
 //! close to a whole number of servo periods a revolution needs a low-pass filter before the input.
 
-use trueup_core::{dimensions::CODES_PER_TICK, units::AdcCode};
+use trueup_core::{design_parameters::CODES_PER_TICK, units::AdcCode};
 
 /// The largest code of the converter.
 const MAX_ADC_CODE: f64 = 4_095.0;

@@ -21,24 +21,24 @@
 use core::time::Duration;
 
 use trueup_core::{
-    bridge::TickInput, cnc::MachineConditions, dimensions::CHANNEL_COUNT,
-    temperature_channels::RawTemperatures, thermometer::RawReading,
+    bridge::TickInput, cnc::MachineConditions, design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    temperature_channels::RawTemperatures, thermometer::RawTemperatureReading,
 };
-use trueup_link::slcan::Event;
+use trueup_link::slcan::AdapterMessage;
 use trueup_linuxcnc_core::{
     NANOMETRES_PER_MILLIMETRE,
     component::{self, Component, ComponentOptions},
-    follower::{AxisReading, RateLimits},
-    joint::{JointReading, JointSettings, MAX_JOINTS},
-    offsets,
+    joint_offsets::{JointReading, JointSettings, MAX_JOINTS},
+    offset_follower::{AxisReading, RateLimits},
+    offset_target,
 };
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::{
     calibration::{self, BlobError, calibration_crc},
-    retained::{self, RetainedCopies},
+    retained_state::{self, RetainedCopies},
 };
 
 use crate::{
@@ -46,10 +46,10 @@ use crate::{
     temperature::ChannelConversion,
 };
 
-pub use trueup_linuxcnc_core::component::Outputs;
+pub use trueup_linuxcnc_core::component::ComponentOutputs;
 
 /// The bridge runs in the same thread: a silence of this length is a fault of this program.
-const STALE_TIMEOUT: Duration = Duration::from_millis(100);
+const OFFSETS_STALE_TIMEOUT: Duration = Duration::from_millis(100);
 /// Time between two copies of the heat, which changes no faster.
 const RETAIN_PERIOD_US: u64 = 1_000_000;
 const US_PER_S: u64 = 1_000_000;
@@ -130,7 +130,7 @@ pub struct ServoInputs {
     /// The sensor, in volts; not a number: none.
     pub sensor_v: f64,
     /// Temperatures of the channels in °C; not a number: none.
-    pub temperature_c: [f64; CHANNEL_COUNT],
+    pub temperature_c: [f64; TEMPERATURE_CHANNEL_COUNT],
     /// Changes with each set of temperatures, where a program gives them.
     pub temperature_heartbeat: bool,
 }
@@ -150,7 +150,7 @@ pub struct Servo {
     node: Node<'static>,
     component: Component,
     settings: ServoSettings,
-    channels: [ChannelConversion; CHANNEL_COUNT],
+    channels: [ChannelConversion; TEMPERATURE_CHANNEL_COUNT],
     /// CRC of the calibration.
     calibration: u32,
     /// Where X, Y and Z were commanded a period ago.
@@ -194,7 +194,7 @@ impl Servo {
         let period_us = supported_period_us(period_ns)?;
         let blob = calibration::validate_blob(blob).map_err(ServoError::Calibration)?;
         let law = calibration::decode(blob).map_err(ServoError::Calibration)?;
-        let mut channels = [ChannelConversion::Unused; CHANNEL_COUNT];
+        let mut channels = [ChannelConversion::Unused; TEMPERATURE_CHANNEL_COUNT];
         for (channel, thermometer) in channels.iter_mut().zip(&law.thermometers) {
             *channel = ChannelConversion::from_thermometer(thermometer.as_ref());
         }
@@ -227,9 +227,9 @@ impl Servo {
             });
         }
         let options = ComponentOptions {
-            limits: offsets::OffsetLimits {
+            limits: offset_target::OffsetLimits {
                 max_nm: limits.max.map(|max| max.0),
-                stale: STALE_TIMEOUT,
+                stale: OFFSETS_STALE_TIMEOUT,
                 hold: Duration::from_millis(limits.hold_ms.into()),
             },
             pace,
@@ -238,7 +238,7 @@ impl Servo {
             against_um: settings.against_um.map(|um| um.is_finite().then_some(um)),
             joints,
         };
-        let node = Node::new(Configuration { blob, ..law.into() });
+        let node = Node::new(NodeConfiguration { blob, ..law.into() });
         Ok(Self {
             node,
             component: Component::new(Duration::ZERO, options),
@@ -247,7 +247,7 @@ impl Servo {
             calibration: calibration_crc(blob),
             position_before: None,
             samples: TickSamples::default(),
-            temperatures: [RawReading::NONE; CHANNEL_COUNT],
+            temperatures: [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT],
             turn: 0,
             heartbeat: false,
             since_heartbeat_us: 0,
@@ -270,20 +270,21 @@ impl Servo {
     /// power cut.
     pub fn resume(&mut self, copies: &RetainedCopies, now_s: Option<u32>) {
         self.started_s = now_s;
-        let off_s = retained::off_time_s(copies, now_s);
-        let stored = retained::load(copies).filter(|_| off_s.is_some());
+        let off_s = retained_state::off_time_s(copies, now_s);
+        let stored = retained_state::load(copies).filter(|_| off_s.is_some());
         self.node.resume(stored.as_ref(), off_s.unwrap_or(0));
     }
 
     /// Saves the heat into the older of the copies once a second. Returns true if it did.
-    pub fn retain(&mut self, copies: &mut RetainedCopies) -> bool {
+    pub fn save_retained_state(&mut self, copies: &mut RetainedCopies) -> bool {
         if self.now_us < self.retain_at_us {
             return false;
         }
         self.retain_at_us = self.now_us.saturating_add(RETAIN_PERIOD_US);
         let passed_s = u32::try_from(self.now_us / US_PER_S).unwrap_or(u32::MAX);
         let now_s = self.started_s.map(|started| started.saturating_add(passed_s));
-        self.copy = retained::write_copy(copies, self.copy, &self.node.retained_state(), now_s);
+        self.copy =
+            retained_state::write_copy(copies, self.copy, &self.node.retained_state(), now_s);
         true
     }
 
@@ -303,7 +304,11 @@ impl Servo {
     ///
     /// # Errors
     /// [`ServoError::Period`]: nothing has run.
-    pub fn step(&mut self, inputs: &ServoInputs, period_ns: u64) -> Result<Outputs, ServoError> {
+    pub fn step(
+        &mut self,
+        inputs: &ServoInputs,
+        period_ns: u64,
+    ) -> Result<ComponentOutputs, ServoError> {
         let period_us = supported_period_us(period_ns)?;
         self.sample_inputs(inputs, period_us);
         let now = Duration::from_micros(self.now_us);
@@ -348,7 +353,7 @@ impl Servo {
             u64::from(self.settings.temperature_timeout_ms).saturating_mul(US_PER_TICK);
         let is_late = timeout_us > 0 && self.since_heartbeat_us > timeout_us;
         // One channel a tick: a temperature is slow.
-        self.turn = if self.turn.saturating_add(1) < CHANNEL_COUNT {
+        self.turn = if self.turn.saturating_add(1) < TEMPERATURE_CHANNEL_COUNT {
             self.turn.saturating_add(1)
         } else {
             0
@@ -360,7 +365,8 @@ impl Servo {
             .zip(&inputs.temperature_c)
             .nth(self.turn)
         {
-            *place = if is_late { RawReading::NONE } else { channel.raw_reading(*celsius) };
+            *place =
+                if is_late { RawTemperatureReading::NONE } else { channel.raw_reading(*celsius) };
         }
         let input = TickInput {
             codes: self.samples.codes(),
@@ -369,14 +375,18 @@ impl Servo {
         };
         let now = Duration::from_micros(self.now_us);
         for frame in self.node.tick(1, input) {
-            self.component.receive(now, &Event::Frame(frame));
+            self.component.receive(now, &AdapterMessage::Frame(frame));
         }
-        if let Some(frame) = self.node.service() {
-            self.component.receive(now, &Event::Frame(frame));
+        if let Some(frame) = self.node.next_service_frame() {
+            self.component.receive(now, &AdapterMessage::Frame(frame));
         }
     }
 
-    fn component_inputs(&self, inputs: &ServoInputs, position: [f64; 3]) -> component::Inputs {
+    fn component_inputs(
+        &self,
+        inputs: &ServoInputs,
+        position: [f64; 3],
+    ) -> component::ComponentInputs {
         let mm_per_unit = self.settings.mm_per_unit;
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
         let mut readings = [AxisReading::default(); 3];
@@ -397,7 +407,7 @@ impl Servo {
                 homing: inputs.joint_homing >> number & 1 == 1,
             };
         }
-        component::Inputs {
+        component::ComponentInputs {
             enable: inputs.enable,
             machine_on: inputs.machine_on,
             homed: inputs.homed,

@@ -6,7 +6,7 @@
 //! 512th of a count for a chain.
 
 use trueup_core::{
-    thermometer::{RawReading, Thermometer},
+    thermometer::{RawTemperatureReading, Thermometer},
     units::Temperature,
 };
 
@@ -43,8 +43,9 @@ impl ChannelConversion {
             Some(Thermometer::Pt100) => Self::Pt100,
             Some(Thermometer::Linear { slope: 0, .. }) => Self::Unused,
             Some(Thermometer::Linear { zero, slope, shift }) => {
-                let scale =
-                    f64::from(1_u32.wrapping_shl((*shift).min(Thermometer::MAX_SHIFT).into()));
+                let scale = f64::from(
+                    1_u32.wrapping_shl((*shift).min(Thermometer::MAX_SLOPE_SHIFT).into()),
+                );
                 let per_kelvin = f64::from(Temperature::PER_KELVIN) * scale / f64::from(*slope);
                 Self::Linear { zero: f64::from(*zero), per_kelvin }
             }
@@ -53,12 +54,12 @@ impl ChannelConversion {
 
     /// Returns what the thermometer delivers at a temperature; nothing where that is not a number.
     #[must_use]
-    pub(crate) fn raw_reading(&self, celsius: f64) -> RawReading {
+    pub(crate) fn raw_reading(&self, celsius: f64) -> RawTemperatureReading {
         if !celsius.is_finite() || celsius.abs() > MAX_ABS_TEMPERATURE_C {
-            return RawReading::NONE;
+            return RawTemperatureReading::NONE;
         }
         let exact = match *self {
-            Self::Unused => return RawReading::NONE,
+            Self::Unused => return RawTemperatureReading::NONE,
             Self::Linear { zero, per_kelvin } => zero + celsius * per_kelvin,
             Self::Pt100 => {
                 let t = celsius;
@@ -71,7 +72,7 @@ impl ChannelConversion {
         let half = 0.5_f64.copysign(exact);
         // The smallest number is that of no delivery.
         #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
-        RawReading(((exact + half) as i32).max(i32::MIN.saturating_add(1)))
+        RawTemperatureReading(((exact + half) as i32).max(i32::MIN.saturating_add(1)))
     }
 }
 
@@ -107,13 +108,16 @@ mod tests {
             [ChannelConversion::Pt100, ChannelConversion::Linear { zero: 0.0, per_kelvin: 1.0 }]
         {
             for celsius in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e9, -1e9] {
-                assert_eq!(channel.raw_reading(celsius), RawReading::NONE);
+                assert_eq!(channel.raw_reading(celsius), RawTemperatureReading::NONE);
             }
         }
-        assert_eq!(ChannelConversion::from_thermometer(None).raw_reading(20.0), RawReading::NONE);
+        assert_eq!(
+            ChannelConversion::from_thermometer(None).raw_reading(20.0),
+            RawTemperatureReading::NONE
+        );
         assert_eq!(
             ChannelConversion::Linear { zero: 0.0, per_kelvin: -1e9 }.raw_reading(999.0),
-            RawReading(i32::MIN + 1)
+            RawTemperatureReading(i32::MIN + 1)
         );
     }
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use trueup_link::status::StateBits;
 use trueup_machine::{MachineFile, compile};
-use trueup_servo::{Outputs, Servo, ServoInputs, ServoSettings, sensor::SensorScale};
-use trueup_store::retained::{RETAINED_COPY_SIZE, RetainedCopies};
+use trueup_servo::{ComponentOutputs, Servo, ServoInputs, ServoSettings, sensor::SensorScale};
+use trueup_store::retained_state::{RETAINED_COPY_SIZE, RetainedCopies};
 
 /// A spindle that grows by 80 µm in some minutes, and a thermometer.
 const MACHINE: &str = r#"
@@ -45,7 +45,12 @@ fn servo(blob: &'static [u8]) -> Servo {
 }
 
 /// Runs for a number of seconds, and returns the last outputs.
-fn live(servo: &mut Servo, copies: &mut RetainedCopies, rpm: f64, seconds: u32) -> Outputs {
+fn live(
+    servo: &mut Servo,
+    copies: &mut RetainedCopies,
+    rpm: f64,
+    seconds: u32,
+) -> ComponentOutputs {
     let mut inputs = ServoInputs {
         enable: true,
         machine_on: true,
@@ -58,7 +63,7 @@ fn live(servo: &mut Servo, copies: &mut RetainedCopies, rpm: f64, seconds: u32) 
     };
     // A warm head: the machine does not look cold.
     (inputs.temperature_c[0], inputs.temperature_c[1]) = (31.0, 22.0);
-    let mut last = Outputs::default();
+    let mut last = ComponentOutputs::default();
     for _ in 0..seconds * 1_000 {
         for (axis, counts) in last.counts.into_iter().enumerate() {
             // LinuxCNC takes every step at once.
@@ -66,7 +71,7 @@ fn live(servo: &mut Servo, copies: &mut RetainedCopies, rpm: f64, seconds: u32) 
             inputs.eoffset[axis] = inputs.request[axis];
         }
         last = servo.step(&inputs, PERIOD_NS).expect("a servo period");
-        servo.retain(copies);
+        servo.save_retained_state(copies);
     }
     last
 }
@@ -114,7 +119,7 @@ fn with_a_clock_it_goes_on_and_damaged_copies_are_not_believed() {
     // A machine that has a clock and is known to be cold: resumed from copies of a cold one, an hour old.
     let mut copies = [[0; RETAINED_COPY_SIZE]; 2];
     let cold = servo(blob).node().retained_state();
-    trueup_store::retained::save(&mut copies, &cold, Some(NOW_S - 3_600));
+    trueup_store::retained_state::save_state(&mut copies, &cold, Some(NOW_S - 3_600));
     first.resume(&copies, Some(NOW_S));
     let warm_um = live(&mut first, &mut copies, 18_000.0, 240).offset_um[2];
     assert!((warm_um - cold_um).abs() < 0.5, "{warm_um} and {cold_um} um");

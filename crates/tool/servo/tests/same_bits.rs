@@ -13,23 +13,23 @@ use std::{path::Path, time::Duration};
 use trueup_core::{
     bridge::TickInput,
     cnc::MachineConditions,
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
-    thermometer::RawReading,
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
+    thermometer::RawTemperatureReading,
     units::AdcCode,
 };
 use trueup_link::{frame::Frame, slcan};
 use trueup_linuxcnc_core::{
-    component::{Component, ComponentOptions, Inputs, Outputs},
-    follower::{AxisReading, RateLimits},
-    joint::{JointReading, JointSettings, MAX_JOINTS},
-    offsets::OffsetLimits,
+    component::{Component, ComponentInputs, ComponentOptions, ComponentOutputs},
+    joint_offsets::{JointReading, JointSettings, MAX_JOINTS},
+    offset_follower::{AxisReading, RateLimits},
+    offset_target::OffsetLimits,
 };
 use trueup_machine::{MachineFile, compile};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
-use trueup_servo::abi::{
+use trueup_servo::ffi::{
     BRIDGE_MEMORY_ALIGNMENT, BRIDGE_MEMORY_BYTES, CInputs, COutputs, CSettings,
     trueup_servo_reason, trueup_servo_start, trueup_servo_step,
 };
@@ -122,7 +122,7 @@ impl World {
             spindle_rpm: 0.0,
             load_n: 0.0,
             sensor_v: 2.0,
-            temperature_c: [f64::NAN; CHANNEL_COUNT],
+            temperature_c: [f64::NAN; TEMPERATURE_CHANNEL_COUNT],
             joint_now: [0.0; MAX_JOINTS],
             joint_command: [0.0; MAX_JOINTS],
             joint_reference: [0.0; MAX_JOINTS],
@@ -210,7 +210,7 @@ struct Host<'a> {
     codes: [AdcCode; CODES_PER_TICK],
     volts: f64,
     position_mm: Option<[f64; 3]>,
-    temperatures: [RawReading; CHANNEL_COUNT],
+    temperatures: [RawTemperatureReading; TEMPERATURE_CHANNEL_COUNT],
     ms: u64,
 }
 
@@ -247,19 +247,19 @@ impl<'a> Host<'a> {
             against_um: [Some(0.0), Some(6.0), None],
             joints,
         };
-        let node = Node::new(Configuration { blob, ..law.into() });
+        let node = Node::new(NodeConfiguration { blob, ..law.into() });
         Self {
             node,
             component: Component::new(Duration::ZERO, options),
             codes: [AdcCode(0); CODES_PER_TICK],
             volts: f64::NAN,
             position_mm: None,
-            temperatures: [RawReading::NONE; CHANNEL_COUNT],
+            temperatures: [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT],
             ms: 0,
         }
     }
 
-    fn step(&mut self, pins: &CInputs) -> Outputs {
+    fn step(&mut self, pins: &CInputs) -> ComponentOutputs {
         let nm = |mm: f64| mm * 1e6;
         let bit = |number: u32| pins.bits >> number & 1 == 1;
         let mut joints = [JointReading::default(); MAX_JOINTS];
@@ -271,7 +271,7 @@ impl<'a> Host<'a> {
                 homing: false,
             };
         }
-        let inputs = Inputs {
+        let inputs = ComponentInputs {
             enable: bit(0),
             machine_on: bit(1),
             homed: bit(2),
@@ -295,7 +295,7 @@ impl<'a> Host<'a> {
         }
         self.ms += 1;
         let codes = self.sample(pins.sensor_v);
-        let channel = (self.ms % CHANNEL_COUNT as u64) as usize;
+        let channel = (self.ms % TEMPERATURE_CHANNEL_COUNT as u64) as usize;
         self.temperatures[channel] = delivery(channel, pins.temperature_c[channel]);
         let input = TickInput {
             codes: codes.then_some(&self.codes),
@@ -304,8 +304,8 @@ impl<'a> Host<'a> {
         };
         let now = Duration::from_millis(self.ms);
         let ticked = self.node.tick(1, input);
-        for frame in ticked.into_iter().chain(self.node.service()) {
-            self.component.receive(now, &slcan::Event::Frame(over_the_line(&frame)));
+        for frame in ticked.into_iter().chain(self.node.next_service_frame()) {
+            self.component.receive(now, &slcan::AdapterMessage::Frame(over_the_line(&frame)));
         }
         outputs
     }
@@ -331,16 +331,16 @@ impl<'a> Host<'a> {
 }
 
 /// IEC 60751, and the linear chain of the machine file: 0.1 V a kelvin behind a divider of 0.328, in 1/256 codes.
-fn delivery(channel: usize, t: f64) -> RawReading {
+fn delivery(channel: usize, t: f64) -> RawTemperatureReading {
     if !t.is_finite() {
-        return RawReading::NONE;
+        return RawTemperatureReading::NONE;
     }
     let exact = match channel {
         0 => 1e8 * (1.0 + 3.9083e-3 * t + -5.775e-7 * t * t + 0.0),
         3 => 256.0 * t * 0.1 * CODES_PER_V,
-        _ => return RawReading::NONE,
+        _ => return RawTemperatureReading::NONE,
     };
-    RawReading(exact.round() as i32)
+    RawTemperatureReading(exact.round() as i32)
 }
 
 /// A frame as the text of the serial line has it.
@@ -383,7 +383,7 @@ fn outputs() -> COutputs {
         joint_offset: [0.0; MAX_JOINTS],
         joint_min: [0.0; MAX_JOINTS],
         joint_max: [0.0; MAX_JOINTS],
-        temperature_c: [0.0; CHANNEL_COUNT],
+        temperature_c: [0.0; TEMPERATURE_CHANNEL_COUNT],
         elongation_um: 0.0,
         counts: [0; 3],
         quality: 0,

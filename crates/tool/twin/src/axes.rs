@@ -200,12 +200,12 @@ struct AxisState {
 
 /// The axes on their way through a run.
 #[derive(Clone, Debug)]
-pub struct Axes {
+pub struct SimulatedAxes {
     config: AxesConfig,
     states: [AxisState; 3],
 }
 
-impl Axes {
+impl SimulatedAxes {
     /// Everything at `start_c`; the axes at `start_mm`, having come from below.
     #[must_use]
     pub fn new(config: &AxesConfig, start_mm: [f64; 3], start_c: f64) -> Self {
@@ -331,7 +331,7 @@ mod tests {
     fn a_gap_is_crossed_before_the_table_follows() {
         let z = AxisConfig { backlash_um: 9.0, gap: true, ..AxisConfig::default() };
         let config = AxesConfig { axes: [(AxisName::Z, z)].into(), ..AxesConfig::default() };
-        let mut axes = Axes::new(&config, [0.0; 3], 20.0);
+        let mut axes = SimulatedAxes::new(&config, [0.0; 3], 20.0);
         let mut at = |um: f64| {
             axes.step(1.0, [0.0, 0.0, um / 1000.0], 20.0);
             (axes.error_um()[2] * 1e6).round() / 1e6

@@ -7,41 +7,41 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`heat`] | heat conduction along a rod, by finite volumes |
+//! | [`heat_conduction`] | heat conduction along a rod, by finite volumes |
 //! | [`spindle`] | bearings, motor, cooling; growth by heat, speed, holder and force |
 //! | [`tool`] | what each tool adds by its speed |
 //! | [`ambient`] | the air over the day |
 //! | [`axes`] | screws, scales, pitch, backlash, straightness, angles |
-//! | [`bodies`] | what each axis moves, turned and shifted a little, to the tip |
+//! | [`rigid_bodies`] | what each axis moves, turned and shifted a little, to the tip |
 //! | [`cubic_spline`] | smooth curves through points |
 //! | [`sensors`] | the displacement sensor and the thermometers, with their faults |
 //! | [`instrument`] | the reference instrument, with its own |
-//! | [`head`] | rotary axes that turn the tool |
+//! | [`rotary_head`] | rotary axes that turn the tool |
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
 //! | `simulation` | a scenario that is run: `trueup simulate` |
 //! | [`noise`] | streams of chance by seed and purpose, correlated noise |
-//! | [`table`] | columns of numbers, and the run file that they are written to |
+//! | [`run_table`] | columns of numbers, and the run file that they are written to |
 #![forbid(unsafe_code)]
 
 pub mod ambient;
 pub mod axes;
-pub mod bodies;
 pub mod cubic_spline;
-pub mod head;
-pub mod heat;
+pub mod heat_conduction;
 pub mod instrument;
 pub mod machine;
 pub mod noise;
 pub mod path;
+pub mod rigid_bodies;
+mod rotary_head;
+pub mod run_table;
 pub mod scenario;
 mod scenario_error;
 pub mod schema;
 pub mod sensors;
 pub(crate) mod simulation;
 pub mod spindle;
-pub mod table;
 pub mod tool;
 
 pub use scenario::{Scenario, ScenarioError};

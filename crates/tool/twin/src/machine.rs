@@ -13,10 +13,10 @@
 
 use crate::{
     ambient::Ambient,
-    axes::{Axes, AxisName},
-    bodies::{self, Body},
-    head,
+    axes::{AxisName, SimulatedAxes},
     noise::RandomStream,
+    rigid_bodies::{self, Body},
+    rotary_head,
     scenario::{CoolantConfig, Scenario},
     sensors::{DisplacementSensor, Spot, Thermometer},
     spindle::{GrowthComponents, OperatingConditions, SimulatedSpindle, SpindleTemperatures},
@@ -46,12 +46,12 @@ pub struct SimulatedMachine {
     coolant: CoolantConfig,
     spindle: Option<SimulatedSpindle>,
     tools: Vec<ToolConfig>,
-    axes: Axes,
+    axes: SimulatedAxes,
     bodies: Vec<Body>,
     tip_mm: [f64; 3],
     sensor: Option<DisplacementSensor>,
     thermometers: Vec<(String, Thermometer)>,
-    head: Vec<head::RotaryAxis>,
+    head: Vec<rotary_head::RotaryAxis>,
     /// From the spindle nose to the tool tip, a unit vector; at all angles 0, and now.
     straight: [f64; 3],
     direction: [f64; 3],
@@ -78,7 +78,7 @@ impl SimulatedMachine {
             coolant: scenario.coolant.clone(),
             spindle: scenario.spindle.as_ref().map(|config| SimulatedSpindle::new(config, start_c)),
             tools: scenario.tool.clone(),
-            axes: Axes::new(&scenario.axes_config(), scenario.start_mm, start_c),
+            axes: SimulatedAxes::new(&scenario.axes_config(), scenario.start_mm, start_c),
             bodies: scenario.body.clone(),
             tip_mm: scenario.tip_mm,
             sensor: scenario.sensor.as_ref().map(|config| DisplacementSensor::new(config, seed)),
@@ -110,7 +110,8 @@ impl SimulatedMachine {
             spindle.step(dt_s, &OperatingConditions { spindle_rpm, load_n, ambient_c, coolant_c });
         }
         self.axes.step(dt_s, command.position_mm, ambient_c);
-        self.direction = head::rotate_tool_direction(&self.head, command.head_deg, self.straight);
+        self.direction =
+            rotary_head::rotate_tool_direction(&self.head, command.head_deg, self.straight);
         self.time_s += dt_s;
         self.update_sensors(dt_s);
     }
@@ -159,13 +160,13 @@ impl SimulatedMachine {
             angle_deg[*axis as usize] = angle;
         }
         let position_mm = self.axes.position_mm();
-        let bodies = bodies::error_um(&self.bodies, self.tip_mm, position_mm, angle_deg);
+        let bodies = rigid_bodies::error_um(&self.bodies, self.tip_mm, position_mm, angle_deg);
         std::array::from_fn(|axis| axes[axis] + bodies[axis] + elongation_um * self.direction[axis])
     }
 
     /// Returns the linear axes, with their present errors.
     #[must_use]
-    pub fn axes(&self) -> &Axes {
+    pub fn axes(&self) -> &SimulatedAxes {
         &self.axes
     }
 
@@ -212,9 +213,8 @@ impl SimulatedMachine {
                 Spot::ScaleY => self.axes.scale_temperature_c(AxisName::Y),
                 Spot::ScaleZ => self.axes.scale_temperature_c(AxisName::Z),
                 // A scenario with a thermometer on a spindle has one.
-                on_spindle => {
-                    spindle.map_or(f64::NAN, |spindle| spindle_temperature_at(&spindle, on_spindle))
-                }
+                on_spindle => spindle
+                    .map_or(f64::NAN, |spindle| spindle_spot_temperature_c(&spindle, on_spindle)),
             };
             thermometer.step(dt_s, spot_c);
         }
@@ -222,7 +222,7 @@ impl SimulatedMachine {
 }
 
 /// Returns the temperature at a spot on the spindle; NaN for one that is elsewhere.
-fn spindle_temperature_at(spindle: &SpindleTemperatures, spot: Spot) -> f64 {
+fn spindle_spot_temperature_c(spindle: &SpindleTemperatures, spot: Spot) -> f64 {
     match spot {
         Spot::Front => spindle.front_c,
         Spot::Rear => spindle.rear_c,

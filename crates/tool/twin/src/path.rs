@@ -159,7 +159,7 @@ impl Segment {
 
 /// A way that is gone at constant speed, or a rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Leg {
+pub struct PathLeg {
     /// How long it takes in s; may be 0.
     pub seconds: f64,
     /// Where it ends, X, Y and Z in mm.
@@ -182,7 +182,7 @@ pub fn build_legs(
     start_mm: [f64; 3],
     interval_s: f64,
     seed: u64,
-) -> Vec<Leg> {
+) -> Vec<PathLeg> {
     let mut path = PathBuilder { legs: Vec::new(), at_mm: start_mm, tool: 0, cycle: 0 };
     for number in 1..=repeat {
         for (index, segment) in segments.iter().enumerate() {
@@ -200,7 +200,7 @@ pub(crate) fn distance_mm(from_mm: [f64; 3], to_mm: [f64; 3]) -> f64 {
 }
 
 struct PathBuilder {
-    legs: Vec<Leg>,
+    legs: Vec<PathLeg>,
     at_mm: [f64; 3],
     tool: u16,
     cycle: u32,
@@ -219,7 +219,7 @@ impl PathBuilder {
         match segment.kind {
             SegmentKind::Spindle => {
                 let to_mm = self.at_mm;
-                self.append_with_rows(
+                self.append_sampled_move(
                     segment,
                     to_mm,
                     segment.duration_s.unwrap_or(0.0),
@@ -232,7 +232,7 @@ impl PathBuilder {
                 let from_mm = self.at_mm;
                 let seconds = distance_mm(from_mm, to_mm) / feed_mm_per_s;
                 let Some(cycles) = segment.cycles else {
-                    self.append_with_rows(segment, to_mm, seconds, number, interval_s);
+                    self.append_sampled_move(segment, to_mm, seconds, number, interval_s);
                     return;
                 };
                 let mut since_row_s = 0.0;
@@ -281,7 +281,7 @@ impl PathBuilder {
     }
 
     /// To `to_mm` over `seconds`, with a row every interval; what is left at the end is a last one.
-    fn append_with_rows(
+    fn append_sampled_move(
         &mut self,
         segment: &Segment,
         to_mm: [f64; 3],
@@ -315,7 +315,7 @@ impl PathBuilder {
     ) {
         let Segment { spindle_rpm, load_n, .. } = *segment;
         let tool = self.tool;
-        self.legs.push(Leg { seconds, to_mm, spindle_rpm, load_n, tool, row_of_run });
+        self.legs.push(PathLeg { seconds, to_mm, spindle_rpm, load_n, tool, row_of_run });
         self.at_mm = to_mm;
     }
 }

@@ -13,10 +13,10 @@ use toml::de::DeTable;
 use crate::{
     ambient::AmbientConfig,
     axes::{Abbe, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
-    bodies::{self, Body},
-    head,
     instrument::InstrumentConfig,
     path::{Segment, distance_mm},
+    rigid_bodies::{self, Body},
+    rotary_head,
     scenario_error::{RuleViolation, find_non_finite, key_offset, line_and_column},
     sensors::{DisplacementConfig, Spot, ThermometerConfig},
     spindle::SpindleConfig,
@@ -26,9 +26,9 @@ use crate::{
 pub use crate::scenario_error::ScenarioError;
 
 /// The most rows, and the most ways there and back, that a scenario may ask for.
-pub const MAX_ROWS: f64 = 5e6;
+pub(crate) const MAX_SCENARIO_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
-pub(crate) const MIN_STEP_S: f64 = 1e-3;
+pub(crate) const MIN_TIME_STEP_S: f64 = 1e-3;
 
 /// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -96,7 +96,7 @@ pub struct Scenario {
     /// The rotary axes that carry the spindle, from the frame to the tool; at most two.
     /// In a run of segments they stand at 0.
     #[serde(default)]
-    pub head: Vec<head::RotaryAxis>,
+    pub head: Vec<rotary_head::RotaryAxis>,
     /// The air around the machine.
     #[serde(default)]
     pub ambient: AmbientConfig,
@@ -228,8 +228,8 @@ impl Scenario {
         if self.tool_direction.iter().all(|component| *component == 0.0) {
             return Err(RuleViolation::new("tool_direction", "has no length".into()));
         }
-        if self.head.len() > head::MAX_HEAD_AXES {
-            let rule = format!("has more than {} axes", head::MAX_HEAD_AXES);
+        if self.head.len() > rotary_head::MAX_HEAD_AXES {
+            let rule = format!("has more than {} axes", rotary_head::MAX_HEAD_AXES);
             return Err(RuleViolation::new("head", rule));
         }
         if let Some(spindle) = &self.spindle {
@@ -270,7 +270,7 @@ impl Scenario {
             let section = format!("axis.{}", crate::axes::AXIS_NAMES[name.index()]);
             axis.check().map_err(|rule| rule.in_section(&section))?;
         }
-        bodies::check(&self.body, &self.head)?;
+        rigid_bodies::check(&self.body, &self.head)?;
         for (index, curve) in self.straightness.iter().enumerate() {
             if curve.error == curve.along {
                 let rule = "must be another axis than error".to_string();
@@ -299,15 +299,15 @@ impl Scenario {
             return Err(RuleViolation::new("repeat", "must be at least 1, not 0".into()));
         }
         // A step costs time whether or not a row comes of it.
-        if self.step_s < MIN_STEP_S {
-            let rule = format!("must be at least {MIN_STEP_S}, not {}", self.step_s);
+        if self.step_s < MIN_TIME_STEP_S {
+            let rule = format!("must be at least {MIN_TIME_STEP_S}, not {}", self.step_s);
             return Err(RuleViolation::new("step_s", rule));
         }
         let ways = |segment: &Segment| 2.0 * f64::from(segment.cycles.unwrap_or(1));
         let ways = f64::from(self.repeat) * self.segment.iter().map(ways).sum::<f64>();
         let rows = self.estimated_row_count().max(ways);
-        if rows > MAX_ROWS {
-            let rule = format!("comes to {rows:.0} rows or ways, more than {MAX_ROWS:.0}");
+        if rows > MAX_SCENARIO_ROWS {
+            let rule = format!("comes to {rows:.0} rows or ways, more than {MAX_SCENARIO_ROWS:.0}");
             return Err(RuleViolation::new("repeat", rule));
         }
         Ok(())

@@ -12,10 +12,10 @@ use crate::{
     Scenario,
     ambient::AmbientConfig,
     axes::{Abbe, AxisConfig, StraightnessConfig},
-    bodies::Body,
     instrument::InstrumentConfig,
     path::Segment,
-    scenario::{CoolantConfig, MAX_ROWS},
+    rigid_bodies::Body,
+    scenario::{CoolantConfig, MAX_SCENARIO_ROWS},
     sensors::{DisplacementConfig, ThermometerConfig},
     spindle::SpindleConfig,
     tool::ToolConfig,
@@ -31,7 +31,7 @@ pub fn scenario_schema() -> Value {
     schema.insert(
         "description".into(),
         format!(
-            "A virtual machine tool and what it does, for `trueup simulate`: at most {MAX_ROWS:.0} rows."
+            "A virtual machine tool and what it does, for `trueup simulate`: at most {MAX_SCENARIO_ROWS:.0} rows."
         )
         .into(),
     );

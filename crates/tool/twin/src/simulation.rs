@@ -9,9 +9,9 @@ use crate::{
     axes::AXIS_NAMES,
     instrument::Instrument,
     machine::{DriveCommand, SimulatedMachine},
-    path::{Leg, build_legs},
+    path::{PathLeg, build_legs},
+    run_table::RunTable,
     scenario::{MeasuredQuantity, Scenario},
-    table::RunTable,
 };
 
 /// Returns what the virtual machine tool measures in `scenario` under `seed`, in the form of a run file.
@@ -23,7 +23,7 @@ pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> R
     let Scenario { segment, repeat, start_mm, interval_s, .. } = scenario;
     let legs = build_legs(segment, *repeat, *start_mm, *interval_s, seed);
     for leg in &legs {
-        run.follow_leg(leg);
+        run.simulate_leg(leg);
         if let Some(number) = leg.row_of_run {
             run.write_row(number, leg, &mut table);
             row_done();
@@ -64,7 +64,7 @@ impl<'s> Simulation<'s> {
     }
 
     /// Goes along `leg`, in steps that are short enough.
-    fn follow_leg(&mut self, leg: &Leg) {
+    fn simulate_leg(&mut self, leg: &PathLeg) {
         let parts = (leg.seconds / self.scenario.step_s).ceil();
         let from_mm = self.machine.axes().position_mm();
         let mut part = 0.0;
@@ -74,7 +74,7 @@ impl<'s> Simulation<'s> {
             let on_way = |i: usize| from_mm[i] + (leg.to_mm[i] - from_mm[i]) * share;
             // Its end exactly: a last digit that the next leg takes back would be a reversal.
             let position_mm = if part < parts { [0, 1, 2].map(on_way) } else { leg.to_mm };
-            let Leg { spindle_rpm, load_n, tool, .. } = *leg;
+            let PathLeg { spindle_rpm, load_n, tool, .. } = *leg;
             let command =
                 DriveCommand { position_mm, spindle_rpm, load_n, tool, ..DriveCommand::default() };
             self.machine.step(leg.seconds / parts, &command);
@@ -82,7 +82,7 @@ impl<'s> Simulation<'s> {
     }
 
     /// Writes one row: what is measured at the end of `leg`.
-    fn write_row(&mut self, run: u32, leg: &Leg, table: &mut RunTable) {
+    fn write_row(&mut self, run: u32, leg: &PathLeg, table: &mut RunTable) {
         table.push_value("time_s", 3, self.machine.time_s());
         table.push_value("run", 0, f64::from(run));
         if let Some(counts) = self.machine.sensor_counts() {

@@ -21,7 +21,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    heat::{BoundaryCondition, HeatBalance, Material, Rod},
+    heat_conduction::{BoundaryCondition, HeatBalance, Material, Rod},
     scenario_error::{RuleViolation, keys},
 };
 

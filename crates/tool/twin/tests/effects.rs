@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_twin::{Scenario, simulate, table::RunTable};
+use trueup_twin::{Scenario, run_table::RunTable, simulate};
 
 fn run(text: &str, seed: u64) -> RunTable {
     let scenario = Scenario::parse(text, Path::new("s.toml")).expect("the test's own scenario");

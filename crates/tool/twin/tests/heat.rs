@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use trueup_twin::heat::{BoundaryCondition, Material, Rod};
+use trueup_twin::heat_conduction::{BoundaryCondition, Material, Rod};
 
 /// Numbers that are easy to reckon with: the diffusivity is 1e-5 m²/s.
 const METAL: Material =

@@ -29,7 +29,7 @@ use trueup_pipe::{Block, BoardRecord, RECORD_SIZE};
 
 use crate::{
     log::LogDecoder,
-    qemu::{self, BOOT_TIMEOUT, Qemu, SharedTempDir},
+    qemu::{self, BOOT_TIMEOUT, QemuProcess, SharedTempDir},
 };
 
 /// Blocks that can be announced with one ring: a byte.
@@ -47,7 +47,7 @@ pub struct VirtualBoard {
     doorbell: UnixStream,
     serial: UnixStream,
     log: Arc<Mutex<Vec<String>>>,
-    qemu: Qemu,
+    qemu: QemuProcess,
 }
 
 impl VirtualBoard {
@@ -71,7 +71,7 @@ impl VirtualBoard {
 
     fn boot_in_folder(folder: SharedTempDir, image: &Path, calibration: &[u8]) -> Result<Self> {
         let decoder = LogDecoder::from_image(image)?;
-        let mut qemu = Qemu::start_in_folder(
+        let mut qemu = QemuProcess::start_in_folder(
             folder,
             image,
             // QEMU waits for the host at the doorbell, so that the first word of the board is not
@@ -118,7 +118,7 @@ impl VirtualBoard {
         let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
         let frames = BufReader::new(File::open(qemu.path("frames"))?);
         let mut board = Self { samples, frames, doorbell, serial, log, qemu };
-        board.wait_until_up()?;
+        board.wait_for_boot()?;
         drop(held);
         Ok(board)
     }
@@ -148,7 +148,7 @@ impl VirtualBoard {
                 BoardRecord::Frame { time, frame } => sent.push((time, frame)),
                 BoardRecord::EndOfBatch { .. } => return Ok(sent),
                 BoardRecord::Restart { .. } => {
-                    self.wait_until_up()?;
+                    self.wait_for_boot()?;
                     return Ok(sent);
                 }
             }
@@ -156,7 +156,7 @@ impl VirtualBoard {
     }
 
     /// A board that starts or restarts says when it is up: rung before, it would not receive.
-    fn wait_until_up(&mut self) -> Result<()> {
+    fn wait_for_boot(&mut self) -> Result<()> {
         let mut ready = [0];
         if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
             return Err(self.qemu.channel_error("the board does not come up"));
@@ -169,7 +169,7 @@ impl VirtualBoard {
     ///
     /// # Errors
     /// The socket cannot be shared.
-    pub fn serial(&self) -> Result<UnixStream> {
+    pub fn try_clone_serial(&self) -> Result<UnixStream> {
         Ok(self.serial.try_clone()?)
     }
 
@@ -179,7 +179,7 @@ impl VirtualBoard {
     /// The socket cannot be shared.
     pub fn buffered_serial(&self) -> Result<BufferedSerial> {
         let (sender, received) = mpsc::channel();
-        let mut source = self.serial()?;
+        let mut source = self.try_clone_serial()?;
         thread::spawn(move || {
             let mut bytes = [0; 4096];
             while let Ok(length @ 1..) = source.read(&mut bytes) {
@@ -188,7 +188,7 @@ impl VirtualBoard {
                 }
             }
         });
-        Ok(BufferedSerial { writer: self.serial()?, received, rest: VecDeque::new() })
+        Ok(BufferedSerial { writer: self.try_clone_serial()?, received, rest: VecDeque::new() })
     }
 
     /// Returns the board's log so far.
@@ -210,7 +210,7 @@ impl VirtualBoard {
     }
 
     /// Returns the emulator it runs in.
-    pub fn qemu(&mut self) -> &mut Qemu {
+    pub(crate) fn qemu_mut(&mut self) -> &mut QemuProcess {
         &mut self.qemu
     }
 }
@@ -229,7 +229,7 @@ pub struct BufferedSerial {
 
 impl BufferedSerial {
     /// How long a board may take to say something.
-    pub const READ_TIMEOUT: Duration = Duration::from_secs(20);
+    const READ_TIMEOUT: Duration = Duration::from_secs(20);
 }
 
 impl Read for BufferedSerial {

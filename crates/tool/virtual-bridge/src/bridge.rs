@@ -10,11 +10,11 @@ use clap::Args;
 use trueup_machine::{Machine, RunFile, compile};
 
 use crate::{
-    front_end::FrontEnd,
-    gauge::Gauge,
+    analogue_front_end::AnalogueFrontEnd,
+    gauge::SimulatedGauge,
     operator_controls::OperatorControls,
     plant::Plant,
-    replay::{DEFAULT_ROW_DURATION_S, GAUGE_COLUMN, Replay},
+    replay::{DEFAULT_ROW_DURATION_S, GAUGE_COLUMN, RunReplay},
     serve::{self, OperatorStation, SampleSource},
 };
 
@@ -76,8 +76,8 @@ pub fn run(
         (Some(path), _) => {
             let run = RunFile::read(path)?.with_tool_numbers(machine)?;
             let names = run.columns().iter().map(|column| column.name.as_str());
-            let unused =
-                names.filter(|name| !Replay::uses_column(machine, name) && *name != GAUGE_COLUMN);
+            let unused = names
+                .filter(|name| !RunReplay::uses_column(machine, name) && *name != GAUGE_COLUMN);
             let unused: Vec<_> = unused.collect();
             if !unused.is_empty() {
                 let unused = unused.join(", ");
@@ -88,7 +88,7 @@ pub fn run(
             if options.gauge.is_some() && run.column(GAUGE_COLUMN).is_none() {
                 bail!("{}: has no {GAUGE_COLUMN} that a gauge could show", path.display());
             }
-            let replay = Replay::new(&run, machine, options.row_s)?;
+            let replay = RunReplay::new(&run, machine, options.row_s)?;
             Ok(SampleSource::Run { replay, speed: options.speed.0 })
         }
         (None, Some(address)) => Err(address),
@@ -100,7 +100,7 @@ pub fn run(
         Ok(run) => run,
         Err(address) => {
             let temperatures = inputs.map(|inputs| inputs.temperatures.clone());
-            let address = serve::tcp_address(address)?;
+            let address = serve::parse_tcp_address(address)?;
             SampleSource::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
         }
     };
@@ -111,10 +111,10 @@ pub fn run(
     ));
     let divider =
         inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |sensor| sensor.divider);
-    let front_end = FrontEnd::new(divider, options.seed);
-    let gauge = Gauge::new(machine);
+    let front_end = AnalogueFrontEnd::new(divider, options.seed);
+    let gauge = SimulatedGauge::new(machine);
     if let Some(address) = &options.gauge {
-        gauge.listen(serve::tcp_address(address)?)?;
+        gauge.listen(serve::parse_tcp_address(address)?)?;
     }
     let hand = OperatorControls::from_stdin(gauge.clone());
     let at_machine = OperatorStation { hand, gauge };

@@ -34,7 +34,7 @@ pub struct ReceivedFrames(AtomicU8);
 
 impl ReceivedFrames {
     /// Takes a line of the CNC, without its end.
-    pub fn record_line(&self, line: &[u8]) {
+    pub(crate) fn record_line(&self, line: &[u8]) {
         let Some(id) = line.strip_prefix(b"t").and_then(|rest| rest.get(..3)) else { return };
         let id = str::from_utf8(id).ok().and_then(|id| u16::from_str_radix(id, 16).ok());
         if let Some(place) = CNC_FRAME_IDS.iter().position(|&known| Some(known) == id) {

@@ -13,12 +13,12 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use trueup_core::cnc::Output;
-use trueup_machine::{Machine, file::MachineKind};
+use trueup_machine::{Machine, machine_file::MachineKind};
 
 use crate::plant::PlantResponse;
 
 /// From one value to the next.
-const SEND_PERIOD: Duration = Duration::from_millis(100);
+const GAUGE_SEND_PERIOD: Duration = Duration::from_millis(100);
 
 /// The parts of a reading, in µm along the tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,7 +30,7 @@ struct ReadingComponents {
 
 /// The gauge; its copies show the same.
 #[derive(Clone, Debug)]
-pub struct Gauge {
+pub struct SimulatedGauge {
     /// `None`: the run file does not say what the tool does.
     shown: Arc<Mutex<Option<ReadingComponents>>>,
     tool_direction: [f64; 3],
@@ -38,7 +38,7 @@ pub struct Gauge {
     carrier: &'static str,
 }
 
-impl Gauge {
+impl SimulatedGauge {
     /// Returns the gauge of a machine, which shows nothing yet.
     #[must_use]
     pub fn new(machine: &Machine) -> Self {
@@ -119,7 +119,7 @@ impl Gauge {
             {
                 return;
             }
-            thread::sleep(SEND_PERIOD);
+            thread::sleep(GAUGE_SEND_PERIOD);
         }
     }
 }
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn an_offset_takes_the_growth_away_and_is_kept_until_the_next_one() {
-        let gauge = Gauge::new(&machine("3-axis"));
+        let gauge = SimulatedGauge::new(&machine("3-axis"));
         assert!(gauge.describe().contains("no measured_elongation_um"), "{}", gauge.describe());
         gauge.update(Some(42.0), None);
         assert_eq!(gauge.residual_um(), Some(42.0));
@@ -162,12 +162,12 @@ mod tests {
         // None is given: the CNC has taken it back.
         gauge.update(Some(42.5), Some(&Output { offset: None, ..lifted(0) }));
         assert_eq!(gauge.residual_um(), Some(42.5));
-        assert!(Gauge::new(&machine("lathe")).carrier == "turret");
+        assert!(SimulatedGauge::new(&machine("lathe")).carrier == "turret");
     }
 
     #[test]
     fn it_says_a_value_a_line() {
-        let gauge = Gauge::new(&machine("lathe"));
+        let gauge = SimulatedGauge::new(&machine("lathe"));
         let free = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
         let address = free.expect("a free port").to_string();
         gauge.listen(&address).expect("it was free");

@@ -7,10 +7,10 @@
 //! `trueup virtual` and `cargo virtual` run it; the bench plays single boards of it ([`board`]).
 #![forbid(unsafe_code)]
 
+pub mod analogue_front_end;
 pub mod board;
 mod bridge;
 pub mod cnc_emulator;
-pub mod front_end;
 pub mod gauge;
 pub mod log;
 pub(crate) mod operator_controls;

@@ -21,7 +21,7 @@ use rustix::{
 };
 use trueup_core::cnc::Control;
 
-use crate::gauge::Gauge;
+use crate::gauge::SimulatedGauge;
 
 /// How often it is looked whether this command has the terminal.
 const TERMINAL_POLL_INTERVAL: Duration = Duration::from_millis(200);
@@ -46,7 +46,7 @@ pub struct OperatorControls {
 impl OperatorControls {
     /// Returns a hand that types at standard input, next to this gauge.
     #[must_use]
-    pub(crate) fn from_stdin(gauge: Gauge) -> Self {
+    pub(crate) fn from_stdin(gauge: SimulatedGauge) -> Self {
         let hand = Self::default();
         let typed = hand.clone();
         thread::spawn(move || {

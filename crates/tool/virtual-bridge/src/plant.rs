@@ -136,7 +136,7 @@ impl Plant {
         let speed = step
             .spindle_rpm
             .map(|speed| {
-                replay::rounded_rpm(speed)
+                replay::round_to_rpm(speed)
                     .ok_or_else(|| anyhow!("{place}: spindle_rpm {speed} is outside 0…65535"))
             })
             .transpose()?;

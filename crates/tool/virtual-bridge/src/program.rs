@@ -12,7 +12,7 @@ use anyhow::{Context as _, Result, bail};
 /// # Errors
 /// It could not be started, or it failed; the error has its output.
 pub fn capture_stdout(command: &mut Command) -> Result<String> {
-    let line = command_line(command);
+    let line = format_command_line(command);
     let output =
         command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{line}`"))?;
     if !output.status.success() {
@@ -23,7 +23,7 @@ pub fn capture_stdout(command: &mut Command) -> Result<String> {
 
 /// Returns the command as one would type it.
 #[must_use]
-pub fn command_line(command: &Command) -> String {
+pub fn format_command_line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }

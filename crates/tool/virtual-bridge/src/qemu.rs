@@ -61,12 +61,12 @@ pub(crate) fn create_temp_folder() -> Result<SharedTempDir> {
 }
 
 /// A running emulator. Dropping it ends the process.
-pub struct Qemu {
+pub struct QemuProcess {
     child: Child,
     folder: SharedTempDir,
 }
 
-impl Qemu {
+impl QemuProcess {
     /// Starts the image in a folder of its own, which `prepare` fills first. `arguments` are QEMU's
     /// beyond machine and image; its working directory is the folder.
     ///
@@ -174,7 +174,7 @@ impl Qemu {
     /// It has.
     pub fn check_running(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
-            bail!("QEMU has ended ({status}){}", self.stderr_text());
+            bail!("QEMU has ended ({status}){}", self.read_stderr());
         }
         Ok(())
     }
@@ -189,10 +189,10 @@ impl Qemu {
             }
             thread::sleep(Duration::from_millis(10));
         }
-        anyhow::anyhow!("{what}, though QEMU is still running{}", self.stderr_text())
+        anyhow::anyhow!("{what}, though QEMU is still running{}", self.read_stderr())
     }
 
-    fn stderr_text(&self) -> String {
+    fn read_stderr(&self) -> String {
         let mut text = String::new();
         let read =
             fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut text));
@@ -203,7 +203,7 @@ impl Qemu {
     }
 }
 
-impl Drop for Qemu {
+impl Drop for QemuProcess {
     fn drop(&mut self) {
         // It may have ended already; there is nothing else to do about a failure here.
         self.child.kill().ok();

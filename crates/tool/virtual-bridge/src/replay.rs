@@ -10,18 +10,18 @@ use trueup_core::{
     cnc::{
         AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, TravelDirection,
     },
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     pt100,
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
-    file::{ElongationSource, Machine},
     inputs::{TemperatureInput, TemperatureKind},
     location::InputFileError,
+    machine_file::{ElongationSource, Machine},
     run_file::RunFile,
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
 /// How long a row lasts in a run without `time_s`, unless stated otherwise.
@@ -34,7 +34,7 @@ const POSITION_COLUMNS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
 /// The columns of the direction of approach of X, Y and Z.
 const DIRECTION_COLUMNS: [&str; 3] = ["dir_x", "dir_y", "dir_z"];
 /// The largest angle that the wire carries, either way.
-const MAX_ANGLE_DEG: f64 = 262.143;
+const MAX_WIRE_ANGLE_DEG: f64 = 262.143;
 
 /// The state of the machine at a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,17 +57,17 @@ pub struct MachineSnapshot {
 
 /// A run, ready to be played.
 #[derive(Clone, Debug)]
-pub struct Replay {
+pub struct RunReplay {
     /// From when on each situation holds, rising from 0.
     from_s: Vec<f64>,
     situations: Vec<MachineSnapshot>,
     /// The growth at the tool in each row, in µm; empty if the run does not state it.
     growths_um: Vec<f64>,
     /// When each channel was read, and what it delivered: between two readings a mass goes from one to the other.
-    readings: [Vec<(f64, RawReading)>; CHANNEL_COUNT],
+    readings: [Vec<(f64, RawTemperatureReading)>; TEMPERATURE_CHANNEL_COUNT],
 }
 
-impl Replay {
+impl RunReplay {
     /// Prepares a run for this machine. The sensor's counts are needed only where the spindle's
     /// growth is measured by it; a machine without a sensor gets 0 V.
     ///
@@ -112,7 +112,7 @@ impl Replay {
                 }
             }
             if let Some(speed) = speeds.map(|speeds| speeds[row]).filter(|speed| !speed.is_nan()) {
-                let rpm = rounded_rpm(speed).ok_or_else(|| {
+                let rpm = round_to_rpm(speed).ok_or_else(|| {
                     run.value_error(row, "spindle_rpm", format!("{speed} is outside 0…65535"))
                 })?;
                 now.speed = Some(rpm);
@@ -177,12 +177,17 @@ impl Replay {
 
 /// Returns what a channel delivers at a time between two of its readings; `None` before the first and after the last.
 #[allow(clippy::cast_possible_truncation, reason = "between two integers")]
-fn interpolate_reading(readings: &[(f64, RawReading)], time_s: f64) -> Option<RawReading> {
+fn interpolate_reading(
+    readings: &[(f64, RawTemperatureReading)],
+    time_s: f64,
+) -> Option<RawTemperatureReading> {
     let next = readings.partition_point(|&(at, _)| at <= time_s);
-    let (&(from_s, RawReading(from)), &(to_s, RawReading(to))) =
+    let (&(from_s, RawTemperatureReading(from)), &(to_s, RawTemperatureReading(to))) =
         (readings.get(next.checked_sub(1)?)?, readings.get(next)?);
     let share = (time_s - from_s) / (to_s - from_s);
-    Some(RawReading((f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32))
+    Some(RawTemperatureReading(
+        (f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32,
+    ))
 }
 
 fn angle_column(axis: impl std::fmt::Display) -> String {
@@ -237,7 +242,7 @@ impl<'r> ReplayColumns<'r> {
         &self,
         row: usize,
         time_s: f64,
-        readings: &mut [Vec<(f64, RawReading)>; CHANNEL_COUNT],
+        readings: &mut [Vec<(f64, RawTemperatureReading)>; TEMPERATURE_CHANNEL_COUNT],
     ) {
         for (column, input) in &self.temperatures {
             if let Some(readings) = readings.get_mut(usize::from(input.channel))
@@ -282,8 +287,8 @@ impl<'r> ReplayColumns<'r> {
             let Some(deg) = column.map(|column| column[row]).filter(|deg| !deg.is_nan()) else {
                 continue;
             };
-            if deg.abs() > MAX_ANGLE_DEG {
-                let rule = format!("{deg} is beyond the wire's ±{MAX_ANGLE_DEG}°");
+            if deg.abs() > MAX_WIRE_ANGLE_DEG {
+                let rule = format!("{deg} is beyond the wire's ±{MAX_WIRE_ANGLE_DEG}°");
                 return Err(self.run.value_error(row, name, rule));
             }
             *angle = Some(deg);
@@ -296,13 +301,13 @@ impl<'r> ReplayColumns<'r> {
             };
             now.rotary = Some(RotaryAxisAngles { angles: self.angles_deg.map(micro) });
         }
-        self.update_conditions(row, now)
+        self.update_tool_and_conditions(row, now)
     }
 }
 
 impl ReplayColumns<'_> {
     /// Tool and conditions; a missing value is that of the row before.
-    fn update_conditions(
+    fn update_tool_and_conditions(
         &self,
         row: usize,
         now: &mut MachineSnapshot,
@@ -359,7 +364,7 @@ pub fn raw_temperatures(
     inputs: &BTreeMap<String, TemperatureInput>,
     celsius: &BTreeMap<String, f64>,
 ) -> RawTemperatures {
-    let mut delivered = [RawReading::NONE; CHANNEL_COUNT];
+    let mut delivered = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
     for (name, input) in inputs {
         if let Some(&celsius) = celsius.get(name) {
             set_raw_temperature(&mut delivered, input, celsius);
@@ -372,17 +377,17 @@ pub fn raw_temperatures(
 /// its integer delivers the end of it, which no channel takes for a temperature.
 #[must_use]
 #[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]
-pub fn raw_reading(kind: TemperatureKind, celsius: f64) -> RawReading {
+pub fn raw_reading(kind: TemperatureKind, celsius: f64) -> RawTemperatureReading {
     match kind {
         TemperatureKind::Pt100 => {
             let t = Temperature((celsius * f64::from(Temperature::PER_KELVIN)).round() as i32);
-            RawReading(pt100::resistance_from_temperature(t).0)
+            RawTemperatureReading(pt100::resistance_from_temperature(t).0)
         }
         TemperatureKind::Linear(line) => {
             let (zero_codes, codes_per_c) = line.linear_coefficients_in_codes();
             let codes = zero_codes + codes_per_c * celsius;
             // The lowest number means that nothing was delivered.
-            RawReading(((codes * 256.0).round() as i32).max(i32::MIN + 1))
+            RawTemperatureReading(((codes * 256.0).round() as i32).max(i32::MIN + 1))
         }
     }
 }
@@ -394,7 +399,7 @@ pub fn raw_reading(kind: TemperatureKind, celsius: f64) -> RawReading {
     clippy::cast_sign_loss,
     reason = "checked to be in range"
 )]
-pub(crate) fn rounded_rpm(speed: f64) -> Option<Rpm> {
+pub(crate) fn round_to_rpm(speed: f64) -> Option<Rpm> {
     let rounded = speed.abs().round();
     (rounded <= f64::from(u16::MAX)).then_some(Rpm(rounded as u16))
 }

@@ -25,17 +25,17 @@ use trueup_core::{cnc::Output, units::NANOMETRES_PER_MICROMETRE};
 use trueup_link::{receiver::OffsetReceiver, slcan::CR};
 use trueup_pipe::Block;
 
-mod opening;
+mod opening_handshake;
 
-use self::opening::{OpeningHandshake, is_response_end};
+use self::opening_handshake::{OpeningHandshake, is_response_end};
 use crate::{
+    analogue_front_end::AnalogueFrontEnd,
     board::{MAX_BATCH_BLOCKS, SERIAL_BUFFER_BYTES, VirtualBoard},
     cnc_emulator::{CncEmulator, ReceivedFrames},
-    front_end::FrontEnd,
-    gauge::Gauge,
+    gauge::SimulatedGauge,
     operator_controls::OperatorControls,
     plant::{Plant, PlantResponse},
-    replay::{MachineSnapshot, Replay},
+    replay::{MachineSnapshot, RunReplay},
 };
 
 /// The source of the machine's samples and time.
@@ -43,7 +43,7 @@ pub enum SampleSource {
     /// A run file, at a multiple of real time, or as fast as it goes.
     Run {
         /// The run file that is played.
-        replay: Replay,
+        replay: RunReplay,
         /// Milliseconds of the board in a millisecond of the clock; `None`: no pacing.
         speed: Option<f64>,
     },
@@ -56,7 +56,7 @@ pub struct OperatorStation {
     /// The hand at the CNC.
     pub hand: OperatorControls,
     /// The gauge at the tool.
-    pub gauge: Gauge,
+    pub gauge: SimulatedGauge,
 }
 
 /// Blocks handed over at once while time is not paced.
@@ -77,7 +77,7 @@ const COLD_START_HOLD_S: f64 = 10.0;
 pub fn serve(
     image: &std::path::Path,
     calibration: &[u8],
-    front_end: FrontEnd,
+    front_end: AnalogueFrontEnd,
     listener: TcpListener,
     source: SampleSource,
     at_machine: &OperatorStation,
@@ -86,9 +86,9 @@ pub fn serve(
     let mut board = VirtualBoard::boot(image, calibration)?;
     trueup_output::write_diagnostic(format_args!(
         "the bridge is up in QEMU (process {})",
-        board.qemu().process_id()
+        board.qemu_mut().process_id()
     ));
-    kill_after_stop(stop.clone(), board.qemu().process_id());
+    kill_qemu_after_stop(stop.clone(), board.qemu_mut().process_id());
     let result = run_board(&mut board, front_end, listener, source, at_machine, &stop);
     // Whatever broke because it was stopped is not an error.
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
@@ -96,7 +96,7 @@ pub fn serve(
 
 /// Ends QEMU if serving has not ended a second after `stop`: a client that does not read stops QEMU, and with it
 /// every thread that waits for the board.
-fn kill_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
+fn kill_qemu_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
     const KILL_GRACE_PERIOD: Duration = Duration::from_secs(1);
     thread::spawn(move || {
         while !stop.load(Ordering::Relaxed) {
@@ -116,14 +116,14 @@ fn kill_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
 /// QEMU has ended.
 fn poll_stop_request(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
     print_board_log(board);
-    board.qemu().check_running()?;
+    board.qemu_mut().check_running()?;
     Ok(stop.load(Ordering::Relaxed))
 }
 
 /// Lets the board live through what the source has.
 fn run_board(
     board: &mut VirtualBoard,
-    mut front_end: FrontEnd,
+    mut front_end: AnalogueFrontEnd,
     listener: TcpListener,
     source: SampleSource,
     OperatorStation { hand, gauge }: &OperatorStation,
@@ -131,7 +131,7 @@ fn run_board(
 ) -> Result<()> {
     let opening = Arc::new(OpeningHandshake::default());
     let received = Arc::new(ReceivedFrames::default());
-    serve_clients(listener, board.serial()?, opening.clone(), received.clone())?;
+    serve_clients(listener, board.try_clone_serial()?, opening.clone(), received.clone())?;
     let mut stand_in = CncEmulator::default();
     let mut live = |board: &mut VirtualBoard,
                     situation: &dyn Fn(f64) -> MachineSnapshot,
@@ -374,7 +374,7 @@ fn serve_client(
 /// # Errors
 /// It is not such an address, or the port is in use.
 pub fn listen(address: &str) -> Result<TcpListener> {
-    let address = tcp_address(address)?;
+    let address = parse_tcp_address(address)?;
     let listener = TcpListener::bind(address).with_context(|| {
         format!("cannot listen at tcp:{address}; is another program, or another bridge, using it?")
     })?;
@@ -386,7 +386,7 @@ pub fn listen(address: &str) -> Result<TcpListener> {
 ///
 /// # Errors
 /// It has another form.
-pub(crate) fn tcp_address(address: &str) -> Result<&str> {
+pub(crate) fn parse_tcp_address(address: &str) -> Result<&str> {
     match address.strip_prefix("tcp:") {
         Some(rest) if rest.contains(':') => Ok(rest),
         _ => bail!("\"{address}\" is not an address of the form tcp:HOST:PORT"),

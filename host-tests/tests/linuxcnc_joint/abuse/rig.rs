@@ -7,7 +7,7 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use trueup_emulator::{
-    linuxcnc::headless::{HeadlessLinuxCnc, SamplerGuard},
+    linuxcnc::headless_linuxcnc::{HeadlessLinuxCnc, SamplerGuard},
     setup::LockedLinuxCnc,
 };
 use trueup_machine::{MachineFile, compile};

@@ -18,8 +18,8 @@ use trueup_machine::{
 use trueup_numerics::{parallel::parallel_map, repeats::SIGNIFICANCE_LEVEL};
 
 use super::{
-    columns::{ColumnGroup, NamedColumn},
-    table::DataTable,
+    data_table::DataTable,
+    table_columns::{ColumnGroup, NamedColumn},
 };
 
 /// A step over more than this many of the usual rows is a pause, and the rows are no neighbours: twice is one row that is

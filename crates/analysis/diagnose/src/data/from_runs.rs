@@ -6,22 +6,22 @@ use trueup_machine::{
     InputFileError, Machine, RunFile,
     applied_offsets::UncompensatedRun,
     effect::{SpeedExponent, relative_heat_input},
-    file::{Quantity, is_temperature_column},
+    machine_file::{Quantity, is_temperature_column},
 };
 
 use super::{
     channel_faults,
-    columns::{ColumnGroup, KnownColumn, NamedColumn, TableColumns},
-    inputs,
-    lag::first_finite,
-    lag_column_cache::LagColumnCache,
-    prediction::fill_predictions,
-    reversal::reversal_decay_columns,
-    single_pass,
-    stated_terms::StatedTerm,
-    table::{
+    data_table::{
         DataSettings, DataTable, ReferenceState, RowLocations, RowPredictions, heating_column_name,
     },
+    input_columns,
+    lag_column_cache::LagColumnCache,
+    lag_filter::first_finite_or_zero,
+    prediction::fill_predictions,
+    reversal_decay::reversal_decay_columns,
+    single_pass,
+    stated_terms::StatedTerm,
+    table_columns::{ColumnGroup, KnownColumn, NamedColumn, TableColumns},
 };
 
 impl DataTable {
@@ -102,15 +102,15 @@ impl DataTable {
             &mut data,
             &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>(),
         );
-        inputs::retain_inputs(&mut data);
+        input_columns::retain_inputs(&mut data);
         if single_pass::is_single_pass(&data) {
             Arc::make_mut(&mut data.setting).is_one_pass = true;
-            single_pass::exclude_clock(&mut data);
+            single_pass::exclude_redundant_clock(&mut data);
         }
-        let first_c = |(name, values): &NamedColumn| (name.clone(), first_finite(values));
+        let first_c = |(name, values): &NamedColumn| (name.clone(), first_finite_or_zero(values));
         data.origin = ReferenceState {
             temperatures_c: data.temperatures().iter().map(first_c).collect(),
-            start_s: data.time_s().map_or(0.0, first_finite),
+            start_s: data.time_s().map_or(0.0, first_finite_or_zero),
         };
         data.columns[ColumnGroup::Reversal] = reversal_decay_columns(&data);
         fill_predictions(&mut data, &runs);
@@ -251,5 +251,5 @@ fn is_known_column(name: &str) -> bool {
     ];
     KNOWN_COLUMNS.contains(&name)
         || ["measured_", "predicted_", "bridge_"].iter().any(|start| name.starts_with(start))
-        || inputs::is_record_metadata(name)
+        || input_columns::is_record_metadata_column(name)
 }

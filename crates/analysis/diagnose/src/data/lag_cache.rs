@@ -10,11 +10,11 @@ use trueup_machine::effect::ThermometerDelay;
 use trueup_numerics::parallel::parallel_map;
 
 use super::{
-    columns::NamedColumn,
-    lag::InitialState,
+    lag_filter::LagInitialState,
+    lag_power_series::{LagSeries, TimeGrid},
     lag_segments::LagSegments,
-    lag_series::{LagSeries, TimeGrid},
     row_blocks::RowBlocks,
+    table_columns::NamedColumn,
 };
 
 /// The rows for which lagged temperatures are requested, of all rows of a table.
@@ -102,7 +102,7 @@ impl LagCache {
     pub(super) fn lagged_column(
         &self,
         blocks: &RowBlocks,
-        (column, values, start): (&str, Option<&[f64]>, InitialState),
+        (column, values, start): (&str, Option<&[f64]>, LagInitialState),
         lags_s @ [rise_s, fall_s]: [f64; 2],
         stepped: impl FnOnce() -> Arc<Vec<f64>>,
     ) -> Arc<Vec<f64>> {
@@ -139,11 +139,11 @@ impl LagCache {
             let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
             let mut part_c = stretches.part_temperature_c(late, mean_c);
             if lags_s[0] != lags_s[1] {
-                return stretches.lagged_column(&part_c, lags_s, InitialState::Settled);
+                return stretches.lagged_column(&part_c, lags_s, LagInitialState::Settled);
             }
             // The means give by how much the part is warmer; each row gives what a thermometer shows.
             part_c.iter_mut().zip(mean_c).for_each(|(part_c, mean_c)| *part_c -= mean_c);
-            let ahead_c = stretches.lagged_column(&part_c, lags_s, InitialState::Settled);
+            let ahead_c = stretches.lagged_column(&part_c, lags_s, LagInitialState::Settled);
             lagged().iter().zip(ahead_c).map(|(shown_c, ahead_c)| shown_c + ahead_c).collect()
         })
     }
@@ -189,7 +189,7 @@ mod tests {
 
     use trueup_machine::{effect::DelayKind, model::part_temperature};
 
-    use super::{super::lag::apply_lag, *};
+    use super::{super::lag_filter::apply_lag, *};
 
     /// Ten hours.
     const ROWS: usize = 120_000;
@@ -228,13 +228,13 @@ mod tests {
             let behind = |late: Option<ThermometerDelay>| {
                 let part_c = late.map(|late| part_temperature(late, &time_s, &values));
                 let shown = part_c.as_ref().unwrap_or(&values);
-                apply_lag(shown, &time_s, &restart, lags_s, InitialState::Settled)
+                apply_lag(shown, &time_s, &restart, lags_s, LagInitialState::Settled)
             };
             stepped.set(0);
             let found = match late {
                 None => lags.lagged_column(
                     &blocks,
-                    ("t", Some(&values), InitialState::Settled),
+                    ("t", Some(&values), LagInitialState::Settled),
                     lags_s,
                     || count(behind(None)).into(),
                 ),

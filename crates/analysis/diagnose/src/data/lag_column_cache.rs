@@ -8,7 +8,7 @@ use std::{
 
 use trueup_machine::effect::ThermometerDelay;
 
-use super::lag::InitialState;
+use super::lag_filter::LagInitialState;
 
 /// The columns that something was stepped through. The same if they are the same ones: a column that is changed is a
 /// new one.
@@ -17,7 +17,7 @@ pub(super) struct LagSource {
     pub values: Arc<[f64]>,
     pub time_s: Arc<[f64]>,
     pub restart: Arc<[bool]>,
-    pub start: InitialState,
+    pub start: LagInitialState,
 }
 
 impl PartialEq for LagSource {
@@ -83,7 +83,7 @@ mod tests {
             values: [1.0, 2.0].into(),
             time_s: [0.0, 1.0].into(),
             restart: [true, false].into(),
-            start: InitialState::Settled,
+            start: LagInitialState::Settled,
         };
         let late = |by_s| Some(ThermometerDelay { by_s, form: DelayKind::Delay });
         let (stepped, made) = (LagColumnCache::default(), Cell::new(0.0));
@@ -100,7 +100,7 @@ mod tests {
             LagSource { values: [1.0, 2.0].into(), ..source.clone() },
             LagSource { time_s: [0.0, 1.0].into(), ..source.clone() },
             LagSource { restart: [true, false].into(), ..source.clone() },
-            LagSource { start: InitialState::Cold, ..source },
+            LagSource { start: LagInitialState::Cold, ..source },
         ];
         for _ in 0..2 {
             let mut number = 0.0;

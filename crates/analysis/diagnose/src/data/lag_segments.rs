@@ -14,15 +14,15 @@
 use trueup_machine::{effect::ThermometerDelay, model::part_temperature_from_means};
 
 use super::{
-    lag::{InitialState, apply_lag},
+    lag_filter::{LagInitialState, apply_lag},
     row_blocks::RowBlocks,
 };
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
-const MAX_SEGMENTS: usize = 50_000;
+const MAX_LAG_SEGMENTS: usize = 50_000;
 /// The longest stretch, in time constants, that resolves a lag: by what stands above it is wrong by 2 % of itself
 /// then, and by 3 % of a jump. Faster lags are not looked for in so long a record.
-const MAX_SEGMENT_TIME_CONSTANTS: f64 = 0.5;
+const MAX_SEGMENT_TO_TIME_CONSTANT_RATIO: f64 = 0.5;
 
 /// Stretches of rows that follow each other, and how the rows that are asked for lie among them.
 #[derive(Debug)]
@@ -46,7 +46,7 @@ pub(super) struct LagSegments {
 impl LagSegments {
     /// None where a time is missing, or there are not many rows.
     pub(super) fn new(time_s: &[f64], restart: &[bool], blocks: &RowBlocks) -> Option<Self> {
-        if time_s.len() < 2 * MAX_SEGMENTS || time_s.iter().any(|time_s| time_s.is_nan()) {
+        if time_s.len() < 2 * MAX_LAG_SEGMENTS || time_s.iter().any(|time_s| time_s.is_nan()) {
             return None;
         }
         let rows = time_s.len();
@@ -65,7 +65,7 @@ impl LagSegments {
         while first < rows {
             let start_s = if restart[first] { time_s[first] } else { time_s[first - 1] };
             let belongs = |&row: &usize| {
-                !restart[row] && time_s[row] - start_s <= record_s / MAX_SEGMENTS as f64
+                !restart[row] && time_s[row] - start_s <= record_s / MAX_LAG_SEGMENTS as f64
             };
             // A row that is alone holds its value over any time.
             let end = (first + 1..rows).find(|row| !belongs(row)).unwrap_or(rows);
@@ -117,7 +117,7 @@ impl LagSegments {
 
     /// Returns the fastest lag that they resolve, in s.
     pub(super) fn min_resolved_lag_s(&self) -> f64 {
-        self.longest_s / MAX_SEGMENT_TIME_CONSTANTS
+        self.longest_s / MAX_SEGMENT_TO_TIME_CONSTANT_RATIO
     }
 
     /// Returns the temperature of the part whose thermometer is late, from that in each stretch.
@@ -138,7 +138,7 @@ impl LagSegments {
         &self,
         means: &[f64],
         lags_s: [f64; 2],
-        start: InitialState,
+        start: LagInitialState,
     ) -> Vec<f64> {
         if lags_s == [0.0; 2] {
             return self.of_means.weighted_sums(means);
@@ -240,7 +240,7 @@ mod tests {
 
     use super::*;
 
-    const ROWS: usize = 2 * MAX_SEGMENTS + 20_000;
+    const ROWS: usize = 2 * MAX_LAG_SEGMENTS + 20_000;
 
     /// Returns two series of uneven times, one right after the other, with a pause in the first.
     fn times() -> (Vec<f64>, Vec<bool>) {
@@ -294,9 +294,9 @@ mod tests {
                     &time_s,
                     &restart,
                     lags_s,
-                    InitialState::Settled,
+                    LagInitialState::Settled,
                 ));
-                let lagged = it.lagged_column(&means, lags_s, InitialState::Settled);
+                let lagged = it.lagged_column(&means, lags_s, LagInitialState::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 let has_begun = |row: usize| {
                     let start = if row < ROWS / 2 { 0 } else { ROWS / 2 };
@@ -335,9 +335,9 @@ mod tests {
                     &time_s,
                     &restart,
                     lags_s,
-                    InitialState::Settled,
+                    LagInitialState::Settled,
                 ));
-                let lagged = it.lagged_column(&of_means, lags_s, InitialState::Settled);
+                let lagged = it.lagged_column(&of_means, lags_s, LagInitialState::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 // At an end and a pause a slope is over less; a row is not as far from the one before it as the
                 // rows around it are. This record begins in motion: its first row counts as settled, the first
@@ -367,7 +367,8 @@ mod tests {
         let blocks = RowBlocks::new(0..ROWS, |_| true);
         let it = LagSegments::new(&time_s, &restart, &blocks).expect("many rows");
         assert!(
-            LagSegments::new(&time_s[..MAX_SEGMENTS], &restart[..MAX_SEGMENTS], &blocks).is_none()
+            LagSegments::new(&time_s[..MAX_LAG_SEGMENTS], &restart[..MAX_LAG_SEGMENTS], &blocks)
+                .is_none()
         );
         let mut missing = column(&time_s);
         missing[77] = f64::NAN;

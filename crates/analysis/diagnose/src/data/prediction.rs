@@ -3,15 +3,15 @@
 use trueup_machine::{
     Machine,
     applied_offsets::UncompensatedRun,
-    file::LinearAxis,
+    machine_file::LinearAxis,
     model::{
         ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
 };
 
 use super::{
-    columns::NamedColumn,
-    table::{DataTable, RowPredictions},
+    data_table::{DataTable, RowPredictions},
+    table_columns::NamedColumn,
 };
 
 /// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,

@@ -1,6 +1,6 @@
 //! Which error the runs are compared in.
 
-use trueup_machine::{InputFileError, RunFile, file::Quantity};
+use trueup_machine::{InputFileError, RunFile, machine_file::Quantity};
 
 /// Returns the quantity that is requested, or the only one that the runs measure.
 pub(crate) fn resolve_quantity(
@@ -22,8 +22,9 @@ pub(crate) fn resolve_quantity(
     match there[..] {
         [only] => Ok(only),
         [] => {
-            if let Some(slip) =
-                runs.iter().find_map(|run| run.column_typo(|name| name.starts_with("measured_")))
+            if let Some(slip) = runs
+                .iter()
+                .find_map(|run| run.find_column_typo(|name| name.starts_with("measured_")))
             {
                 return Err(slip);
             }

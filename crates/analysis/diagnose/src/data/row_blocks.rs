@@ -115,12 +115,12 @@ impl RowBlocks {
 
 /// Σ values, in eight sums side by side: one sum alone waits for each addition.
 fn sum_in_lanes(values: &[f64]) -> f64 {
-    const LANES: usize = 8;
-    let chunks = values.chunks_exact(LANES);
+    const SIMD_LANES: usize = 8;
+    let chunks = values.chunks_exact(SIMD_LANES);
     let rest: f64 = chunks.remainder().iter().sum();
-    let mut sums = [0.0; LANES];
+    let mut sums = [0.0; SIMD_LANES];
     for chunk in chunks {
-        for lane in 0..LANES {
+        for lane in 0..SIMD_LANES {
             sums[lane] += chunk[lane];
         }
     }

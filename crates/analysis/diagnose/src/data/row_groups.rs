@@ -2,7 +2,7 @@
 
 use trueup_numerics::noise::RowSpacings;
 
-use super::{row_blocks::RowBlocks, table::DataTable};
+use super::{data_table::DataTable, row_blocks::RowBlocks};
 
 /// Rows put together for the search: `size` neighbours of one series are one group, so that its cost
 /// does not depend on how often a slow thing was written down. Linear laws stay exact: means of

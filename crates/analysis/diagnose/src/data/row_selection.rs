@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use super::{
-    columns::{ColumnGroup, NamedColumn},
-    lag::forward_fill,
+    data_table::{DataTable, ParentTable, RowLocations, RowPredictions},
     lag_column_cache::LagColumnCache,
+    lag_filter::forward_fill,
     row_blocks::RowBlocks,
     row_groups::RowGroups,
-    table::{DataTable, ParentTable, RowLocations, RowPredictions},
+    table_columns::{ColumnGroup, NamedColumn},
 };
 
 /// Pieces of a group that a search works on in the place of its rows. The mean of what bends over a
@@ -34,7 +34,10 @@ impl DataTable {
     /// Means of neighbouring rows of each of `groups`, and the groups that these make; none where a
     /// group has not twice as many rows. Laws with a memory are still stepped through all rows: what is linear in the
     /// columns stays exact.
-    pub(crate) fn block_means(self: &Arc<Self>, groups: &RowGroups) -> Option<(Self, RowGroups)> {
+    pub(crate) fn average_within_groups(
+        self: &Arc<Self>,
+        groups: &RowGroups,
+    ) -> Option<(Self, RowGroups)> {
         (groups.size > 2 * PIECES_PER_GROUP).then(|| {
             let (pieces, whole) = groups.rows.split_blocks(PIECES_PER_GROUP);
             let condensed = self.aggregate_blocks(pieces);
@@ -81,7 +84,7 @@ impl DataTable {
                 *values = before.select_rows(&forward_fill(all)).into();
             }
         }
-        drawn.predicted = before.select_predictions(&whole);
+        drawn.predicted = before.aggregate_predictions(&whole);
         drawn.whole = Some(before.with_data(Arc::new(whole), &changed));
         drawn
     }

@@ -3,7 +3,7 @@
 
 use trueup_machine::effect::{Effect, peak_to_peak};
 
-use super::{columns::KnownColumn, table::DataTable};
+use super::{data_table::DataTable, table_columns::KnownColumn};
 
 /// Places that make a pass: two always lie on a line.
 const MIN_PASS_POSITIONS: usize = 3;
@@ -25,7 +25,7 @@ pub(super) fn is_single_pass(data: &DataTable) -> bool {
 
 /// Excludes the clock of a pass where only the position is correlated with it: it says the same once more, and
 /// noise that is as slow as the pass would be taken for the error.
-pub(super) fn exclude_clock(data: &mut DataTable) {
+pub(super) fn exclude_redundant_clock(data: &mut DataTable) {
     let varies = |values: &[f64]| peak_to_peak(values) > 0.0;
     let columns = data.temperatures().iter().chain(data.unknown_columns());
     let has_inputs = columns.map(|(_, values)| values).any(|values| varies(values))

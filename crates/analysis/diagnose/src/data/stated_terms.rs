@@ -3,7 +3,7 @@
 use trueup_machine::{
     Machine,
     effect::{Effect, PredictionStage},
-    file::{Quantity, Term},
+    machine_file::{Quantity, Term},
 };
 
 /// A term of the machine file that is in what was measured.

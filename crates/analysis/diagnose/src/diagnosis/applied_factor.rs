@@ -20,26 +20,26 @@ use trueup_machine::{
     applied_offsets::{
         self, FactorEstimate, OffsetApplication, UncompensatedRun, repeat_run_instruction,
     },
-    file::Quantity,
+    machine_file::Quantity,
 };
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
     data::DataTable,
     diagnosis::{
-        errors::remove_zero_offset,
         report::{AlternativeCause, Finding, Verdict},
+        residuals::remove_zero_offset,
         verdict::VerdictReason,
     },
     fit::{EQUIVALENCE_TOLERANCE, FitProblem, FittedModel, fit},
-    gain::TermGain,
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
     search::{
         SearchOutcome,
-        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic_gap},
         extension::without_term,
+        model_comparison::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic_gap},
     },
+    term_gain::TermGain,
 };
 
 /// The name of the cause.
@@ -56,9 +56,9 @@ pub(crate) struct BridgeOffsets {
 pub(crate) enum FactorCaveat {
     Nothing,
     /// It is known, and not 1.
-    Wrong(FactorEstimate),
+    NotOne(FactorEstimate),
     /// These terms, with how much worse a free factor explains them (a difference of BIC).
-    Terms(Vec<(usize, f64)>),
+    ConfoundedTerms(Vec<(usize, f64)>),
 }
 
 impl BridgeOffsets {
@@ -84,8 +84,8 @@ impl BridgeOffsets {
         });
         let offset_um = offset_um.collect();
         let applied = match is_once {
-            true => OffsetApplication::Nothing,
-            false => applied_offsets::estimate_application(&all, Some(machine), quantity),
+            true => OffsetApplication::NoOffset,
+            false => applied_offsets::estimate_offset_application(&all, Some(machine), quantity),
         };
         Ok(Self { applied, offset_um })
     }
@@ -93,7 +93,7 @@ impl BridgeOffsets {
     /// Returns the factor by which the offsets are taken out of what was measured.
     pub(crate) fn factor(&self) -> f64 {
         match self.applied {
-            OffsetApplication::Otherwise(factor) => factor.fault_factor_or_estimate(),
+            OffsetApplication::OtherFactor(factor) => factor.fault_factor_or_estimate(),
             _ => 1.0,
         }
     }
@@ -103,11 +103,11 @@ impl BridgeOffsets {
         &self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
     ) -> FactorCaveat {
         match self.applied {
-            OffsetApplication::Otherwise(factor) => FactorCaveat::Wrong(factor),
-            OffsetApplication::Nothing | OffsetApplication::Once(_) => FactorCaveat::Nothing,
+            OffsetApplication::OtherFactor(factor) => FactorCaveat::NotOne(factor),
+            OffsetApplication::NoOffset | OffsetApplication::Once(_) => FactorCaveat::Nothing,
             OffsetApplication::Unknown(_) => self.find_confounded_terms(problem, found, judged),
         }
     }
@@ -116,7 +116,7 @@ impl BridgeOffsets {
         &self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
     ) -> FactorCaveat {
         let own = problem.data.whole.as_ref().map(|whole| whole.select_rows(&self.offset_um));
         let offset = problem.groups.means(own.as_ref().unwrap_or(&self.offset_um));
@@ -130,7 +130,7 @@ impl BridgeOffsets {
             (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || imitates).then_some(gap)
         };
         let model = &found.fitted.model;
-        let one = |(index, judgement): (usize, &Judgement)| {
+        let one = |(index, judgement): (usize, &TermJudgement)| {
             let gap = open(&without_term(problem, model, judgement.cause()))?;
             Some((index, gap))
         };
@@ -142,7 +142,7 @@ impl BridgeOffsets {
         {
             terms = (0..judged.len()).map(|index| (index, gap)).collect();
         }
-        if terms.is_empty() { FactorCaveat::Nothing } else { FactorCaveat::Terms(terms) }
+        if terms.is_empty() { FactorCaveat::Nothing } else { FactorCaveat::ConfoundedTerms(terms) }
     }
 }
 
@@ -180,7 +180,7 @@ impl FactorCaveat {
     }
 
     /// Marks the findings, one for each judgement, that are not written or not claimed.
-    pub(crate) fn mark_findings(&self, findings: &mut [Finding]) {
+    pub(crate) fn apply_to_findings(&self, findings: &mut [Finding]) {
         if self.forbids_writing() {
             for finding in findings.iter_mut().filter(|finding| finding.compensated) {
                 finding.compensated = false;
@@ -190,7 +190,7 @@ impl FactorCaveat {
                 );
             }
         }
-        let Self::Terms(terms) = self else { return };
+        let Self::ConfoundedTerms(terms) = self else { return };
         for (index, gap) in terms {
             let Some(finding) = findings.get_mut(*index) else { continue };
             finding.claimed = false;
@@ -220,7 +220,7 @@ impl FactorCaveat {
         data: &DataTable,
         after: &[f64],
     ) -> Option<Finding> {
-        let Self::Wrong(factor) = self else { return None };
+        let Self::NotOne(factor) = self else { return None };
         Some(build_factor_finding(*factor, data, after, &bridge.offset_um))
     }
 
@@ -232,23 +232,24 @@ impl FactorCaveat {
     ) -> (Verdict, Vec<VerdictReason>) {
         let verdict = match (self, verdict) {
             (Self::Nothing, verdict) => return (verdict, reasons),
-            (Self::Wrong(_), Verdict::Clean) => Verdict::Explained,
-            (Self::Wrong(_), Verdict::Unexplained | Verdict::TooLittleData) => {
+            (Self::NotOne(_), Verdict::Clean) => Verdict::Explained,
+            (Self::NotOne(_), Verdict::Unexplained | Verdict::TooLittleData) => {
                 Verdict::PartlyExplained
             }
-            (Self::Wrong(_), verdict) => verdict,
-            (Self::Terms(_), Verdict::Clean | Verdict::Explained | Verdict::Unexplained) => {
-                Verdict::PartlyExplained
-            }
-            (Self::Terms(_), verdict) => verdict,
+            (Self::NotOne(_), verdict) => verdict,
+            (
+                Self::ConfoundedTerms(_),
+                Verdict::Clean | Verdict::Explained | Verdict::Unexplained,
+            ) => Verdict::PartlyExplained,
+            (Self::ConfoundedTerms(_), verdict) => verdict,
         };
         reasons.retain(|reason| {
-            !matches!(reason, VerdictReason::OnlyNoise | VerdictReason::NothingFires)
+            !matches!(reason, VerdictReason::OnlyNoise | VerdictReason::NoLackOfFitFound)
         });
         reasons.insert(
             0,
             match self {
-                Self::Wrong(_) => VerdictReason::OffsetApplication,
+                Self::NotOne(_) => VerdictReason::OffsetApplication,
                 _ => VerdictReason::Engaged,
             },
         );

@@ -1,6 +1,6 @@
 //! The residual of a record on the board: its own arithmetic on the rows that were measured.
 
-use trueup_machine::{Machine, RunFile, predict::Predictor};
+use trueup_machine::{Machine, RunFile, predict::RunPredictor};
 
 use crate::{data::DataTable, model::Model};
 
@@ -30,13 +30,13 @@ pub(super) fn compute_board_residuals(
 fn predict_on_board(data: &DataTable, runs: &[RunFile], machine: &Machine) -> Option<Vec<f64>> {
     let length_s = |run: &RunFile| {
         let times = run.column("time_s").unwrap_or_default().iter().copied();
-        let [first_s, last_s] = super::range::min_max(times);
+        let [first_s, last_s] = super::value_range::min_max(times);
         if first_s < last_s { last_s - first_s } else { 0.0 }
     };
     if runs.iter().map(length_s).sum::<f64>() > MAX_SIMULATED_RECORD_S {
         return None;
     }
-    let number = trueup_machine::file::Quantity::ALL
+    let number = trueup_machine::machine_file::Quantity::ALL
         .iter()
         .position(|quantity| *quantity == data.setting.quantity)?;
     let mut predicted = Vec::with_capacity(data.rows);
@@ -48,7 +48,7 @@ fn predict_on_board(data: &DataTable, runs: &[RunFile], machine: &Machine) -> Op
                 values.copy_from_slice(&trusted[first..first + values.len()]);
             }
         });
-        let predictor = Predictor::new(machine, &run).ok()?;
+        let predictor = RunPredictor::new(machine, &run).ok()?;
         for row in predictor.predictions() {
             predicted.push(row.bridge?.to_array()[number]);
         }

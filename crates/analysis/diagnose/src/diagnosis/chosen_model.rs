@@ -10,19 +10,19 @@ use super::{
     finding::{build_finding, merge_coupled_findings},
     held_out_errors::HeldOutRecord,
     hold_out::HoldOut,
+    hold_out_evaluation::HoldOutEvaluation,
     report::Finding,
     shortfall::{ReductionBounds, Shortfall},
     slow_drift::SlowDrift,
     step_duration,
     term_selection::{self, TermSelection, is_fully_explained},
-    transfer::HoldOutEvaluation,
     written_terms::WrittenTerms,
 };
 use crate::{
     data::DataTable,
     fit::{FitProblem, fit},
     folds::Folds,
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
     repeats,
     search::SearchOutcome,
@@ -37,7 +37,7 @@ pub(super) struct SearchContext<'a> {
     pub data: &'a Arc<DataTable>,
     pub problem: &'a FitProblem,
     pub found: &'a SearchOutcome,
-    pub judged: &'a [Judgement],
+    pub judged: &'a [TermJudgement],
     /// The runs, as files.
     pub runs: &'a [RunFile],
     /// Rows that were excluded as outliers.
@@ -80,7 +80,7 @@ impl ChosenModel {
             written.select_terms(problem, found, judged, &model, runs)
         };
         if choice.is_predicted {
-            model.parts.retain(|part| !part.kind.is_compensated());
+            model.parts.retain(|part| !part.kind.is_compensable());
             model.parts.extend(written.board.parts.iter().cloned());
             model.constant_um = written.board.constant_um;
             model.sort_parts();
@@ -101,7 +101,7 @@ impl ChosenModel {
         let impossible: Vec<TermKind> = impossible.map(|(kind, _)| kind.clone()).collect();
         if !impossible.is_empty() {
             model = without_causes(problem, &model, impossible.iter());
-            model = if model.parts.iter().all(|part| part.kind.is_compensated()) {
+            model = if model.parts.iter().all(|part| part.kind.is_compensable()) {
                 written.board.clone()
             } else {
                 fit(problem, &model, None).model
@@ -112,7 +112,7 @@ impl ChosenModel {
 
     /// Returns how far the terms that the board runs (`compensated`, promised by `floor`), or those that only explain,
     /// fall short on the hold-out; `None` where they do not.
-    pub(super) fn shortfall(
+    pub(super) fn find_shortfall(
         &self,
         search: &SearchContext<'_>,
         hold_out: &HoldOut<'_>,
@@ -149,7 +149,7 @@ impl ChosenModel {
 
     /// Returns a finding for each term that was judged, and for those that were chosen for prediction. No name is claimed
     /// where most of the error is left and may be the machine.
-    pub(super) fn findings(
+    pub(super) fn build_findings(
         &self,
         search: &SearchContext<'_>,
         open: &FactorCaveat,
@@ -163,7 +163,7 @@ impl ChosenModel {
         let is_dropped = |cause: &TermKind| {
             transfer.as_ref().is_some_and(|transfer| transfer.dropped.contains(cause))
         };
-        let of_judgement = |judgement: &Judgement| {
+        let of_judgement = |judgement: &TermJudgement| {
             let mut finding = build_finding(problem, judgement, found.folds.unit);
             finding.gain.add_within_group_mean_square(within);
             step_duration::append_duration_sentence(&mut finding, &judgement.part, data, after);
@@ -193,7 +193,7 @@ impl ChosenModel {
                 finding.mark_mostly_unexplained();
             }
         }
-        open.mark_findings(&mut findings);
+        open.apply_to_findings(&mut findings);
         findings = merge_coupled_findings(judged, findings);
         if let Some(foreseen) = choice.foreseen.as_ref().filter(|_| choice.is_predicted) {
             findings.extend(term_selection::build_prediction_findings(

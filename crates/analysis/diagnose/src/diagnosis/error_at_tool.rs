@@ -19,17 +19,17 @@
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
-use trueup_machine::{InputFileError, RunFile, file::is_temperature_column};
-use trueup_numerics::{parallel::parallel_join, random::Generator, robust::median};
+use trueup_machine::{InputFileError, RunFile, machine_file::is_temperature_column};
+use trueup_numerics::{parallel::parallel_join, random::RandomGenerator, robust::median};
 
 use crate::{
     data::{DataTable, RowGroups},
     diagnosis::{
-        errors::remove_zero_offset,
         report::{ErrorAtTool, ErrorReduction},
+        residuals::remove_zero_offset,
         slow_drift::has_slow_drift,
     },
-    fit::{FitProblem, FittedModel, ParameterCovariance, jacobian, parameter_covariance},
+    fit::{FitProblem, FittedModel, ParameterCovariance, estimate_parameter_covariance, jacobian},
     model::Model,
     search::SearchOutcome,
 };
@@ -70,7 +70,7 @@ impl ErrorPredictor {
         let variance = found.fitted.sum / (rows - found.fitted.degrees as f64).max(1.0);
         Self {
             model: compensated.clone(),
-            spread: parameter_covariance(problem, &fitted, found.noise),
+            spread: estimate_parameter_covariance(problem, &fitted, found.noise),
             stays: not_run
                 + if has_slow_drift(problem, found) {
                     (1.0 - found.noise.white) * variance
@@ -151,7 +151,7 @@ impl ErrorPredictor {
         let as_it_was = models.map(|model| model.predict(&data));
         let draws = MAX_EVALUATED_ROWS.div_ceil(data.rows);
         let mut noise = [0.0; 2];
-        let mut generator = Generator::new(1);
+        let mut generator = RandomGenerator::new(1);
         for _ in 0..draws {
             let noisy: Vec<RunFile> =
                 first.iter().map(|run| add_input_noise(run, &mut generator)).collect();
@@ -218,7 +218,7 @@ impl ParameterCovariance {
 }
 
 /// `run` with as much noise in its inputs once more as they have.
-fn add_input_noise(run: &RunFile, generator: &mut Generator) -> RunFile {
+fn add_input_noise(run: &RunFile, generator: &mut RandomGenerator) -> RunFile {
     run.with_altered_values(run.row_count(), |name, values| {
         if name == "sensor_counts" || is_temperature_column(name) {
             let noise = estimate_noise_std(values);
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn the_noise_of_an_input_is_told_from_its_course_and_its_jumps() {
-        let mut generator = Generator::new(3);
+        let mut generator = RandomGenerator::new(3);
         let mut drawn = |noise: f64| -> Vec<f64> {
             let course = |row: usize| {
                 let warm = 40.0 * (1.0 - (-(row as f64) / 17.0).exp());

@@ -3,14 +3,14 @@
 
 use trueup_machine::{
     Machine,
-    file::LinearAxis,
+    machine_file::LinearAxis,
     model::{ReferenceModel, RowInputs},
 };
 use trueup_numerics::robust::median;
 
 use crate::{
     data::DataTable,
-    diagnosis::{Diagnosis, extended_file, range::min_max},
+    diagnosis::{Diagnosis, extended_machine_file, value_range::min_max},
 };
 
 /// Points drawn between two neighbouring places: a wave of that length still looks like one.
@@ -45,11 +45,15 @@ pub(super) fn compute_error_curves(
     axis: LinearAxis,
 ) -> [Vec<ErrorCurve>; 2] {
     let believed = diagnosis.data.setting.machine.clone();
-    [believed, extended_file::extended_machine(diagnosis)]
-        .map(|machine| machine_error_curves(&diagnosis.data, &machine, axis))
+    [believed, extended_machine_file::extended_machine(diagnosis)]
+        .map(|machine| compute_machine_error_curves(&diagnosis.data, &machine, axis))
 }
 
-fn machine_error_curves(data: &DataTable, machine: &Machine, axis: LinearAxis) -> Vec<ErrorCurve> {
+fn compute_machine_error_curves(
+    data: &DataTable,
+    machine: &Machine,
+    axis: LinearAxis,
+) -> Vec<ErrorCurve> {
     let index = axis.index();
     let places = sample_positions(data.position_mm(axis).unwrap_or(&[]));
     let mut sides: Vec<f64> = data

@@ -4,7 +4,7 @@ use trueup_machine::effect::Effect;
 
 use crate::{
     fit::{FitProblem, fit},
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
     search::{SearchOutcome, extension::without_term},
     term_kind::{ModelPart, TermKind},
@@ -15,12 +15,12 @@ use crate::{
 pub(super) fn final_model(
     problem: &FitProblem,
     found: &SearchOutcome,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
 ) -> Model {
     let model = &found.fitted.model;
     let open =
         judged.iter().filter(|judgement| !judgement.is_kept && !judgement.is_record_specific());
-    let mut kept = without_causes(problem, model, open.map(Judgement::cause));
+    let mut kept = without_causes(problem, model, open.map(TermJudgement::cause));
     if !kept.parts.is_empty() && kept.parts.len() < model.parts.len() {
         kept = fit(problem, &kept, None).model;
     }
@@ -31,7 +31,7 @@ pub(super) fn final_model(
 pub(super) fn without_record_specific_terms(
     problem: &FitProblem,
     model: Model,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
 ) -> Model {
     let of_record =
         judged.iter().filter(|judgement| !judgement.is_kept && judgement.is_record_specific());
@@ -41,7 +41,11 @@ pub(super) fn without_record_specific_terms(
 
 /// `model` without a term that another record would show otherwise, and with what of it lasts: where a start
 /// has settled to, and where something slow stood at first.
-fn without_record_specific_term(problem: &FitProblem, model: &Model, term: &Judgement) -> Model {
+fn without_record_specific_term(
+    problem: &FitProblem,
+    model: &Model,
+    term: &TermJudgement,
+) -> Model {
     let mut rest = without_causes(problem, model, std::iter::once(term.cause()));
     let parts = model.parts.iter().filter(|part| part.kind != *term.cause()).cloned().collect();
     let less = Model { parts, ..model.clone() };

@@ -3,29 +3,33 @@
 use serde_json::{Map, Value, json};
 
 use trueup_machine::effect::{BoundSide, Dependence, Effect, RangeLimited, Value as Entry};
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 use trueup_page::format_micrometres;
 
 use crate::{
     data::DataTable,
     diagnosis::{
-        alias_test::describe_alias_test,
-        errors::compute_residuals,
+        alias_discrimination::describe_alias_test,
         next_measurement::next_measurement,
-        omission::OmissionReason,
+        omission_reason::OmissionReason,
         report::{AlternativeCause, ColumnRange, CoupledCause, Finding},
+        residuals::compute_residuals,
     },
     fit::FitProblem,
     folds::FoldUnit,
-    gain::TermGain,
-    judgement::{Caveat, Judgement, table::InterpolationAccuracy},
+    judgement::{Caveat, TermJudgement, repeat_evidence::InterpolationAccuracy},
     outliers::OutlierJudgement,
-    parameters::ParameterEstimates,
+    parameter_estimates::ParameterEstimates,
+    term_gain::TermGain,
     term_kind::{ModelPart, TermKind},
 };
 
 /// Returns the finding of a term of what was found on `problem`; `left_out`: what was held out in turn.
-pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: FoldUnit) -> Finding {
+pub(crate) fn build_finding(
+    problem: &FitProblem,
+    it: &TermJudgement,
+    left_out: FoldUnit,
+) -> Finding {
     let cause = it.cause();
     let sentence = it.part.sentence();
     let TermGain { rms_before_um, rms_after_um, .. } = it.gain;
@@ -47,7 +51,7 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
     evidence.extend(it.doubts.iter().map(|doubt| describe_caveat(doubt, &it.gain, left_out)));
     evidence.extend(it.between.as_ref().and_then(InterpolationAccuracy::sentence));
     let between = it.between.as_ref().and_then(InterpolationAccuracy::next_test);
-    let next_test = match it.other_law() {
+    let next_test = match it.better_law_inputs() {
         _ if between.is_some() && it.doubts.is_empty() => between.unwrap_or_default(),
         Some(inputs) => format!(
             "Measure again, and vary only the inputs that are correlated with {inputs}, in many small steps, up \
@@ -66,7 +70,7 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
     };
     let next_test = cause.append_repair_advice(next_test);
     let same = it.doubts.iter().filter_map(|doubt| match doubt {
-        Caveat::OnePass(other) => Some(AlternativeCause {
+        Caveat::SinglePass(other) => Some(AlternativeCause {
             cause: (*other).into(),
             column: None,
             form: None,
@@ -90,7 +94,7 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
         columns: as_dependence(cause).and_then(operand_columns),
         within: cause.cause().and_then(Effect::as_range_limited).zip(it.bound).map(column_range),
         claimed: it.doubts.is_empty(),
-        compensated: cause.is_compensated() && it.is_kept,
+        compensated: cause.is_compensable() && it.is_kept,
         confidence: (it.confidence() * 1e4).round() / 1e4,
         parameters: it.parameters.clone(),
         gain: it.gain,
@@ -126,10 +130,10 @@ fn operand_columns(page: &Dependence) -> Option<[String; 2]> {
 
 /// Findings of the terms `judged`, in their order, as one where two are only certain together: under the
 /// name of the first.
-pub(super) fn merge_coupled_findings(judged: &[Judgement], all: Vec<Finding>) -> Vec<Finding> {
-    let mut findings: Vec<(&Judgement, Finding)> = Vec::new();
+pub(super) fn merge_coupled_findings(judged: &[TermJudgement], all: Vec<Finding>) -> Vec<Finding> {
+    let mut findings: Vec<(&TermJudgement, Finding)> = Vec::new();
     for (it, finding) in judged.iter().zip(all) {
-        let holds = |there: &&mut (&Judgement, Finding)| {
+        let holds = |there: &&mut (&TermJudgement, Finding)| {
             it.doubts.iter().any(|doubt| *doubt == Caveat::OnlyTogether(there.0.cause().clone()))
         };
         match findings.iter_mut().find(holds) {
@@ -185,7 +189,7 @@ impl Finding {
         self.compensated = false;
         self.evidence.push(why.sentence());
         // What predicts less than other terms stands for one of them.
-        self.claimed &= !matches!(why, OmissionReason::ForesawLess);
+        self.claimed &= !matches!(why, OmissionReason::PredictsWorse);
         if why.is_inseparable() {
             self.claimed = false;
             self.next_test = OmissionReason::SEPARATION_TEST_INSTRUCTION.into();
@@ -277,10 +281,10 @@ fn format_five_significant_digits(number: f64) -> String {
 }
 
 /// Returns the name of the rival that cannot be distinguished from the cause.
-fn indistinguishable_alternative(it: &Judgement) -> Option<&'static str> {
+fn indistinguishable_alternative(it: &TermJudgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
         Caveat::AlternativeCause(rival) => Some(rival.name()),
-        Caveat::OnePass(other) => Some(other),
+        Caveat::SinglePass(other) => Some(other),
         _ => None,
     })
 }
@@ -289,60 +293,60 @@ fn indistinguishable_alternative(it: &Judgement) -> Option<&'static str> {
 fn describe_open_dependence(open: &TermKind) -> String {
     format!(
         "It hangs on an open question: {} is not settled, and with another answer to it this may not be needed.",
-        open.title()
+        open.name_with_column()
     )
 }
 
 /// Returns a doubt in a sentence.
 fn describe_caveat(doubt: &Caveat, gain: &TermGain, left_out: FoldUnit) -> String {
     match doubt {
-        Caveat::AlternativeCause(rival) => format!("{} explains these data as well.", rival.title()),
+        Caveat::AlternativeCause(rival) => format!("{} explains these data as well.", rival.name_with_column()),
         Caveat::NotIdentified => format!(
             "It is not yet identified by these data: fitted to all {} RMS are left, on \
              held-out {left_out} {}.",
             format_micrometres(gain.rms_after_um),
             format_micrometres(gain.left_out_after_um)
         ),
-        Caveat::MayBeNothing => {
+        Caveat::SizeMayBeZero => {
             "It may as well be nothing: the interval of its size holds that.".into()
         }
-        Caveat::AtTheEnd => {
+        Caveat::AtSearchBound => {
             "One of its values is where the search for it ends: the best may lie beyond.".into()
         }
         Caveat::SlowerThanRecord => {
             "It is slower than the record is long: where it ends has not been seen.".into()
         }
-        Caveat::StartOf(late) => format!(
+        Caveat::InitialTransientOf(late) => format!(
             "It settles as fast as {} does: the machine may not have been at rest when the record began.",
-            late.title()
+            late.name_with_column()
         ),
-        Caveat::FormOf(law) => format!(
+        Caveat::ModelFormErrorOf(law) => format!(
             "It may only make up for the form of {}. A part follows its thermometer by a lag of \
              the first order only approximately, and was not at rest when the record began.",
-            law.title()
+            law.name_with_column()
         ),
-        Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
-        Caveat::MayGainNothing => format!(
+        Caveat::GainsInOneBlock => "It gains on one part of the record alone: it was seen once.".into(),
+        Caveat::GainMayBeZero => format!(
             "It may as well gain nothing on held-out {left_out}: the interval of its gain holds that."
         ),
-        Caveat::DoesNotGoOn => {
+        Caveat::DoesNotPersist => {
             "It does not predict the end of the record: something else may drift."
                 .into()
         }
-        Caveat::OnlySmooths => {
+        Caveat::OnlySmoothsNoise => {
             "Its thermometer smoothed as much, and not late, predicts as well: it may only smooth the \
              noise of the thermometer."
                 .into()
         }
-        Caveat::BesideTable(table) => format!(
+        Caveat::AbsorbedByFinerTable(table) => format!(
             "It depends on the position, as {} does: the machine may be as uneven between the points of that table.",
-            table.title()
+            table.name_with_column()
         ),
         Caveat::OnlyTogether(other) => format!(
             "It is only certain together with {}: neither of the two stands alone.",
-            other.title()
+            other.name_with_column()
         ),
-        Caveat::HangsOn(open) => describe_open_dependence(open),
+        Caveat::DependsOnTerm(open) => describe_open_dependence(open),
         Caveat::HalvesDiffer([first, second]) => format!(
             "The first half of the record gives {}, the second {}: the difference exceeds their uncertainty.",
             format_five_significant_digits(*first),
@@ -352,24 +356,24 @@ fn describe_caveat(doubt: &Caveat, gain: &TermGain, left_out: FoldUnit) -> Strin
             let values: Vec<String> = values.iter().map(|value| format_five_significant_digits(*value)).collect();
             format!("It does as well at {}: these data cannot separate the two.", values.join(", "))
         }
-        Caveat::OtherLaw(inputs) => format!(
+        Caveat::BetterLaw(inputs) => format!(
             "An effect that depends on {inputs} explains clearly more in its place: the cause is a similar one."
         ),
-        Caveat::LawAsWell(inputs) => {
+        Caveat::EquivalentLaw(inputs) => {
             format!("An effect that depends on {inputs} explains these data as well.")
         }
         Caveat::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
         }
-        Caveat::OnePass(other) => format!(
+        Caveat::SinglePass(other) => format!(
             "The position only grew with the time: {other} would look the same."
         ),
-        Caveat::NotRepeated => {
+        Caveat::NotRepeatable => {
             "Its repeats do not bear it out: a cycle is not predicted by the others, or chance would make \
              the places differ as much."
                 .into()
         }
-        Caveat::BesideOtherLaw => {
+        Caveat::OnlyNextToOtherLaw => {
             "It is only needed together with a term that approximates another law.".into()
         }
     }

@@ -1,10 +1,10 @@
 //! Check that the written terms do not make the rows worse that they were fitted to.
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
-    diagnosis::errors::remove_zero_offset, fit::FitProblem, model::Model,
-    search::state::MIN_RELEVANT_RMS_SHARE,
+    diagnosis::residuals::remove_zero_offset, fit::FitProblem, model::Model,
+    search::search_state::MIN_RELEVANT_RMS_FRACTION,
 };
 
 /// Returns whether the rows that were fitted are left worse than the current machine file leaves them, by more than is
@@ -15,5 +15,8 @@ pub(super) fn is_fit_degraded(on: &FitProblem, model: &Model) -> bool {
         [rms(&um), rms(&remove_zero_offset(&on.data, um))]
     };
     let [before, after] = [&Model::default(), model].map(left);
-    after.iter().zip(before).any(|(after, before)| *after > (1.0 + MIN_RELEVANT_RMS_SHARE) * before)
+    after
+        .iter()
+        .zip(before)
+        .any(|(after, before)| *after > (1.0 + MIN_RELEVANT_RMS_FRACTION) * before)
 }

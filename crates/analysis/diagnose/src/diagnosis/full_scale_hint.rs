@@ -6,7 +6,7 @@ use crate::diagnosis::report::Finding;
 
 /// Inputs for 0–10 V or ±10 V: the counts at full scale, and the largest count that such an input gives. An S7 analogue
 /// input (rated range and overrange: SIMATIC manual, representation of analogue values), and one of 15 bits and a sign.
-const INPUT_COUNTS: [(f64, f64, &str); 2] =
+const ANALOGUE_INPUT_FULL_SCALES: [(f64, f64, &str); 2] =
     [(27_648.0, 32_511.0, "an S7 analogue input"), (32_768.0, 32_768.0, "an input of 16 bits")];
 
 /// Where a gain of the sensor would be gone, or a part of it, if the input's full scale were that of another
@@ -40,7 +40,7 @@ fn full_scale_hint(
     let believed = counts_full_scale;
     let is_all = |ratio: &f64| (ci95[0]..=ci95[1]).contains(ratio);
     let is_part = |ratio: &f64| (1.0..gain).contains(ratio) || (gain..1.0).contains(ratio);
-    let (counts, name, ratio) = INPUT_COUNTS
+    let (counts, name, ratio) = ANALOGUE_INPUT_FULL_SCALES
         .into_iter()
         // Not the one that is believed, within a count.
         .filter(|(counts, ..)| (counts - believed).abs() > 1.5)

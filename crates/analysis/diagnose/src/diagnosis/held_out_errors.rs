@@ -27,9 +27,9 @@ use crate::{
     columns::{PREDICTED_ELONGATION_COLUMN, column_by_name},
     data::{DataTable, forward_fill},
     diagnosis::{
-        new_day::FoldVarianceComponents,
-        range::min_max,
         report::{ErrorReduction, HeldOutErrors},
+        value_range::min_max,
+        variance_components::FoldVarianceComponents,
     },
     fit::{CONFIDENCE_LEVEL, FitProblem, fit},
     folds::Folds,
@@ -41,7 +41,7 @@ use crate::{
 /// A column leaves what the runs covered where it is beyond their ends by more than a tenth of their
 /// range: so far a straight line that was fitted to it may be continued with a standard error that grows
 /// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
-pub(super) const EXTRAPOLATION_MARGIN_SHARE: f64 = 0.1;
+pub(super) const EXTRAPOLATION_MARGIN_FRACTION: f64 = 0.1;
 /// Readings from which a day's zero is set.
 const ZEROING_READING_COUNT: usize = 3;
 
@@ -74,7 +74,7 @@ impl HeldOutRecord<'_> {
 
     /// With the zero set `again` on each part or not; without `noise`, a mean square in µm² that before and after hold.
     fn error_reduction(&self, again: bool, noise: f64) -> ErrorReduction {
-        let parts = self.folds.record_part_numbers();
+        let parts = self.folds.block_index_by_group();
         let before = self.problem.residual(&Model::default());
         let after = match self.foreseen {
             Some(foreseen) => foreseen.left.clone(),
@@ -132,7 +132,7 @@ impl HeldOutRecord<'_> {
                 let [of, rest] = [&values[..first], &values[first..]];
                 let [[low, high], [least, most]] =
                     [of, rest].map(|values| min_max(values.iter().copied()));
-                let margin = EXTRAPOLATION_MARGIN_SHARE * (high - low);
+                let margin = EXTRAPOLATION_MARGIN_FRACTION * (high - low);
                 least >= low - margin && most <= high + margin
             })
         })
@@ -171,7 +171,7 @@ impl FoldMeanSquares {
     }
 
     /// Returns the mean squares, without `noise` (of a mean square in µm² that both hold).
-    fn mean_squares(&self, noise: f64) -> [f64; 2] {
+    fn noise_corrected_mean_squares(&self, noise: f64) -> [f64; 2] {
         let count = self.before.len() as f64;
         [&self.before, &self.after]
             .map(|of| (of.iter().sum::<f64>() / count.max(1.0) - noise).max(0.0))
@@ -179,7 +179,7 @@ impl FoldMeanSquares {
 
     /// ρ; none where there is nothing before.
     fn mean_square_ratio(&self, noise: f64) -> Option<f64> {
-        let [before, after] = self.mean_squares(noise);
+        let [before, after] = self.noise_corrected_mean_squares(noise);
         (before > 0.0).then(|| after / before)
     }
 
@@ -199,7 +199,7 @@ impl FoldMeanSquares {
     fn error_reduction(&self, noise: f64, later: &[f64]) -> ErrorReduction {
         let count = self.before.len() as f64;
         let Some(ratio) = self.mean_square_ratio(noise) else { return ErrorReduction::default() };
-        let [before, _] = self.mean_squares(noise);
+        let [before, _] = self.noise_corrected_mean_squares(noise);
         let expected = median(&mut [&[ratio], later].concat());
         let off = self.before.iter().zip(&self.after).map(|(b, a)| {
             let [b, a] = [b - noise, a - noise];

@@ -2,9 +2,11 @@
 
 use std::collections::HashSet;
 
-use trueup_machine::{InputFileError, Machine, RunFile, file::Term, model::required_columns};
+use trueup_machine::{
+    InputFileError, Machine, RunFile, machine_file::Term, model::required_columns,
+};
 
-use crate::{data::DataTable, model::Model, terms::ExtensionTerms};
+use crate::{data::DataTable, extension_terms::ExtensionTerms, model::Model};
 
 /// Measured rows not used for the fit.
 pub(crate) struct HoldOut<'h> {
@@ -25,7 +27,7 @@ impl HoldOut<'_> {
         let machine = &training.setting.machine;
         let ExtensionTerms { replaced, new } = ExtensionTerms::from_model(training, model);
         for term in replaced.into_iter().map(|(_, term)| term).chain(new) {
-            for column in additional_columns(machine, &term) {
+            for column in additional_required_columns(machine, &term) {
                 for file in self.files {
                     file.require_column(&column).map_err(|missing| {
                         let cause = term.effect.name();
@@ -40,7 +42,7 @@ impl HoldOut<'_> {
 }
 
 /// Returns the columns that `term` needs beyond those of `machine`.
-fn additional_columns(machine: &Machine, term: &Term) -> Vec<String> {
+fn additional_required_columns(machine: &Machine, term: &Term) -> Vec<String> {
     let own = required_columns(machine);
     let with = Machine { terms: vec![term.clone()], ..machine.clone() };
     required_columns(&with).into_iter().filter(|column| !own.contains(column)).collect()

@@ -4,9 +4,9 @@ use crate::{
     columns::column_by_name,
     data::{DataTable, forward_fill},
     diagnosis::{
-        held_out_errors::{EXTRAPOLATION_MARGIN_SHARE, input_columns},
+        held_out_errors::{EXTRAPOLATION_MARGIN_FRACTION, input_columns},
         hold_out::HoldOut,
-        range::{largest_rise, min_max},
+        value_range::{largest_rise, min_max},
     },
 };
 
@@ -18,7 +18,7 @@ pub(super) fn describe_worst_interval(
     worse: &[f64],
 ) -> Vec<String> {
     let Some((first, last)) = max_subarray(worse) else { return Vec::new() };
-    let mut sentences = describe_new_inputs(training, hold_out, worse);
+    let mut sentences = describe_inputs_outside_training(training, hold_out, worse);
     if sentences.is_empty() {
         let stretch = format_row_range(&hold_out.data, hold_out, first, last);
         sentences.push(format!("{stretch} it is worst"));
@@ -28,7 +28,7 @@ pub(super) fn describe_worst_interval(
 
 /// Returns the columns that do in the worst stretch what they never did in the runs: a sentence each, none where they
 /// do nothing new.
-pub(super) fn describe_new_inputs(
+pub(super) fn describe_inputs_outside_training(
     training: &DataTable,
     hold_out: &HoldOut<'_>,
     worse: &[f64],
@@ -39,7 +39,13 @@ pub(super) fn describe_new_inputs(
     input_columns(training)
         .filter_map(|column| {
             let [runs, here] = [training, test].map(|data| column_by_name(data, &column));
-            describe_new_input(&column, &forward_fill(runs?), &forward_fill(here?), first, last)
+            describe_input_outside_training(
+                &column,
+                &forward_fill(runs?),
+                &forward_fill(here?),
+                first,
+                last,
+            )
         })
         .map(|what| format!("{stretch} {what}"))
         .collect()
@@ -64,7 +70,7 @@ pub(super) fn excess_squared_errors(
 /// Returns the rows of the stretch, as the user counts them.
 fn format_row_range(test: &DataTable, hold_out: &HoldOut<'_>, first: usize, last: usize) -> String {
     let end = test.places.file.partition_point(|&there| there <= test.places.file[first]);
-    let (row, name) = row_in_file(test, hold_out, first);
+    let (row, name) = locate_row_in_file(test, hold_out, first);
     if last + 1 >= end {
         format!("from row {row} of {name} on,")
     } else {
@@ -73,7 +79,11 @@ fn format_row_range(test: &DataTable, hold_out: &HoldOut<'_>, first: usize, last
 }
 
 /// Returns the number of a row in its file, as the user counts it, and the name of the file.
-pub(super) fn row_in_file(test: &DataTable, hold_out: &HoldOut<'_>, row: usize) -> (usize, String) {
+pub(super) fn locate_row_in_file(
+    test: &DataTable,
+    hold_out: &HoldOut<'_>,
+    row: usize,
+) -> (usize, String) {
     let file = test.places.file[row];
     let start = test.places.file.partition_point(|&there| there < file);
     let path = hold_out.files[file as usize].path();
@@ -81,7 +91,7 @@ pub(super) fn row_in_file(test: &DataTable, hold_out: &HoldOut<'_>, row: usize) 
 }
 
 /// Returns what `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.
-fn describe_new_input(
+fn describe_input_outside_training(
     column: &str,
     runs: &[f64],
     here: &[f64],
@@ -91,7 +101,7 @@ fn describe_new_input(
     let stretch = &here[first..=last];
     let ([low, high], [here_low, here_high]) =
         (min_max(runs.iter().copied()), min_max(stretch.iter().copied()));
-    let margin = EXTRAPOLATION_MARGIN_SHARE * (high - low);
+    let margin = EXTRAPOLATION_MARGIN_FRACTION * (high - low);
     if here_high > high + margin {
         return Some(format!(
             "{column} reaches {here_high:.2}; in the runs {high:.2} was the most"
@@ -145,21 +155,21 @@ mod tests {
     fn a_cool_down_after_runs_that_only_warmed_is_told() {
         let runs: Vec<f64> = (0..50).map(|n| 20.0 + 0.5 * f64::from(n)).collect();
         let here: Vec<f64> = runs.iter().rev().copied().collect();
-        let description =
-            describe_new_input("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
+        let description = describe_input_outside_training("temp_frame_c", &runs, &here, 10, 49)
+            .expect("it falls");
         assert_eq!(
             description,
             "temp_frame_c falls by 19.50; in the runs it never fell by more than 0.00"
         );
-        assert_eq!(describe_new_input("temp_frame_c", &here, &here, 10, 49), None);
+        assert_eq!(describe_input_outside_training("temp_frame_c", &here, &here, 10, 49), None);
     }
 
     #[test]
     fn a_column_beyond_what_the_runs_covered_is_told() {
         let runs = [20.0, 30.0, 20.0];
-        assert_eq!(describe_new_input("t", &runs, &[30.5, 25.0], 0, 1), None);
+        assert_eq!(describe_input_outside_training("t", &runs, &[30.5, 25.0], 0, 1), None);
         let description =
-            describe_new_input("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
+            describe_input_outside_training("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
         assert_eq!(description, "t reaches 35.00; in the runs 30.00 was the most");
     }
 }

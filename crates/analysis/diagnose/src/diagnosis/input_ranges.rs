@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use trueup_machine::{
     RunFile,
-    envelope::{InputRanges, TEMPERATURE_RAMP_S},
+    envelope::{InputRanges, TEMPERATURE_RAMP_DURATION_S},
 };
 
-use crate::{data::DataTable, diagnosis::range::min_max};
+use crate::{data::DataTable, diagnosis::value_range::min_max};
 
 /// Returns what was recorded of each input; of one that was not, 0.
 pub(super) fn recorded_input_ranges(data: &DataTable, runs: &[RunFile]) -> InputRanges {
@@ -24,7 +24,7 @@ pub(super) fn recorded_input_ranges(data: &DataTable, runs: &[RunFile]) -> Input
     InputRanges {
         temperatures_c,
         is_each_alone: true,
-        change_s: ramps.fold(f64::INFINITY, f64::min).clamp(TEMPERATURE_RAMP_S, 1e7),
+        change_s: ramps.fold(f64::INFINITY, f64::min).clamp(TEMPERATURE_RAMP_DURATION_S, 1e7),
         speed_rpm: of("spindle_rpm"),
         load_n: of("load_n"),
         sensor_counts: of("sensor_counts"),
@@ -38,7 +38,7 @@ fn finite_range(values: &[f64]) -> [f64; 2] {
 }
 
 /// Returns how long a temperature takes over its range where it changes fastest, but not faster than
-/// [`TEMPERATURE_RAMP_S`] shows, in s; `None` where nothing is known.
+/// [`TEMPERATURE_RAMP_DURATION_S`] shows, in s; `None` where nothing is known.
 fn min_ramp_duration_s(data: &DataTable, values: &[f64]) -> Option<f64> {
     let time_s = data.time_s()?;
     let [low, high] = finite_range(values);
@@ -50,10 +50,10 @@ fn min_ramp_duration_s(data: &DataTable, values: &[f64]) -> Option<f64> {
             start = row;
             continue;
         }
-        while start + 1 < row && time_s[row] - time_s[start + 1] >= TEMPERATURE_RAMP_S {
+        while start + 1 < row && time_s[row] - time_s[start + 1] >= TEMPERATURE_RAMP_DURATION_S {
             start += 1;
         }
-        let elapsed_s = (time_s[row] - time_s[start]).max(TEMPERATURE_RAMP_S);
+        let elapsed_s = (time_s[row] - time_s[start]).max(TEMPERATURE_RAMP_DURATION_S);
         let rate = (values[row] - values[start]).abs() / elapsed_s;
         if rate.is_finite() {
             fastest = fastest.max(rate);

@@ -8,14 +8,14 @@ use trueup_machine::{
     check::{self, ImplausibleValue, Plausibility},
     effect::PredictionStage,
     envelope::{self, InputRanges, predict_states},
-    file::Quantity,
+    machine_file::Quantity,
 };
 
 use crate::{
     data::DataTable,
     diagnosis::{
-        extended_file::extend_machine, input_ranges::recorded_input_ranges,
-        omission::OmissionReason,
+        extended_machine_file::extend_machine, input_ranges::recorded_input_ranges,
+        omission_reason::OmissionReason,
     },
     fit::FitProblem,
     model::Model,
@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
-const MIN_EFFECT_UM: f64 = 1.0;
+const DIAL_GAUGE_RESOLUTION_UM: f64 = 1.0;
 
 /// Returns the values of a machine file that no machine can have.
 fn impossible_values(machine: &Machine) -> Vec<ImplausibleValue> {
@@ -66,7 +66,7 @@ impl<'m> MeasuredRanges<'m> {
             machine,
             quantity: data.setting.quantity,
             ranges: recorded_input_ranges(data, runs),
-            largest_um: about(&problem.measured).max(about(&left)).max(MIN_EFFECT_UM),
+            largest_um: about(&problem.measured).max(about(&left)).max(DIAL_GAUGE_RESOLUTION_UM),
             range_um,
             is_refused: envelope::find_limit_violation(machine).is_some(),
             impossible: impossible_values(machine).into_iter().map(|finding| finding.key).collect(),
@@ -74,7 +74,7 @@ impl<'m> MeasuredRanges<'m> {
     }
 
     /// Returns the first term that is more than what was measured lets it be, and why.
-    pub(super) fn first_violation(
+    pub(super) fn find_first_violation(
         &self,
         problem: &FitProblem,
         model: &Model,
@@ -92,15 +92,15 @@ impl<'m> MeasuredRanges<'m> {
         let machine = extend_machine(&problem.data, model);
         if let Some(excess) = envelope::find_limit_violation(&machine).filter(|_| !self.is_refused)
         {
-            return Some((kind, OmissionReason::Refused(excess.rule)));
+            return Some((kind, OmissionReason::Rejected(excess.rule)));
         }
         let beyond = impossible_values(&machine);
         if let Some(finding) =
             beyond.into_iter().find(|finding| !self.impossible.contains(&finding.key))
         {
-            return Some((kind, OmissionReason::Refused(finding.warning.what)));
+            return Some((kind, OmissionReason::Rejected(finding.warning.what)));
         }
-        self.range_violation(&machine).map(|why| (kind, why))
+        self.find_range_violation(&machine).map(|why| (kind, why))
     }
 
     /// Returns what a term does in the rows, at the most; of one that rises from a start on all that it rises by. A
@@ -128,7 +128,7 @@ impl<'m> MeasuredRanges<'m> {
 
     /// Returns the state in which the machine is farthest outside what was measured, if beyond the margin, and farther
     /// than the machine file is already.
-    fn range_violation(&self, extended: &Machine) -> Option<OmissionReason> {
+    fn find_range_violation(&self, extended: &Machine) -> Option<OmissionReason> {
         let number = Quantity::ALL.iter().position(|quantity| *quantity == self.quantity)?;
         let believed = predict_states(self.machine, &self.ranges);
         let [low, high] = believed
@@ -137,7 +137,7 @@ impl<'m> MeasuredRanges<'m> {
             .filter(|um| um.is_finite())
             .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
         // As far beyond as the measured range is wide.
-        let margin_um = (self.range_um[1] - self.range_um[0]).max(MIN_EFFECT_UM);
+        let margin_um = (self.range_um[1] - self.range_um[0]).max(DIAL_GAUGE_RESOLUTION_UM);
         let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
         let worst = predict_states(extended, &self.ranges)
             .into_iter()

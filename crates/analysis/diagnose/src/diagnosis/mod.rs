@@ -1,14 +1,14 @@
 //! The answer: the model as it is handed out, what it brings on data not used for the fit, and
 //! the verdict.
 
-mod alias_test;
+mod alias_discrimination;
 pub(crate) mod applied_factor;
 mod board_residuals;
 mod chosen_model;
+mod detection_power;
 pub(crate) mod error_at_tool;
 mod error_curve;
-mod errors;
-pub(crate) mod extended_file;
+pub(crate) mod extended_machine_file;
 mod final_model;
 mod finding;
 mod fit_degradation;
@@ -16,57 +16,60 @@ mod full_scale_hint;
 mod held_out_errors;
 pub(crate) mod hold_out;
 mod hold_out_degradation;
-pub(crate) mod html;
+mod hold_out_evaluation;
+pub(crate) mod html_report;
 mod input_ranges;
 mod measured_ranges;
-mod new_day;
 mod next_measurement;
-mod omission;
+mod omission_reason;
 mod plot;
-mod power;
-mod range;
 pub mod report;
 mod report_plots;
+mod residuals;
 mod shortfall;
 mod slow_drift;
 mod step_duration;
 mod term_selection;
-mod transfer;
 mod unexplained_residual;
 mod validation_data;
+mod value_range;
+mod variance_components;
 mod verdict;
 pub(crate) mod written_terms;
 
 use std::sync::Arc;
 
 use trueup_machine::{
-    InputFileError, RunFile, compile::missing_input_lines, effect::peak_to_peak, file::Term,
+    InputFileError, RunFile, compile::missing_input_lines, effect::peak_to_peak, machine_file::Term,
 };
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
     data::DataTable,
+    extension_terms::ExtensionTerms,
     fit::FitProblem,
     folds::Folds,
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
     next_run::model_pair::{ModelPair, find_indistinguishable_pairs},
     outliers::{ExcludedRows, OutlierJudgement},
-    parameters::mean_row_interval_s,
+    parameter_estimates::mean_row_interval_s,
     repeats::{self, RepeatStatistics},
     search::{RejectedCandidate, SearchOutcome},
     term_kind::{ModelPart, TermKind},
-    terms::ExtensionTerms,
 };
 use applied_factor::BridgeOffsets;
 use board_residuals::compute_board_residuals;
 use chosen_model::{ChosenModel, SearchContext};
-use errors::{Residuals, compute_residuals_by_row, remove_zero_offset};
+use detection_power::{COVERAGE, DetectionPower};
 use finding::{build_outlier_finding, describe_unclaimed_outliers};
 use held_out_errors::HeldOutRecord;
 use hold_out::HoldOut;
-use power::{COVERAGE, DetectionPower};
-use report::{DiagnosisReport, ErrorsAfter, ErrorsBefore, OmittedCause, RejectedCause, Verdict};
+use report::{
+    DiagnosisReport, ErrorsAfterExtension, ErrorsBeforeExtension, OmittedCause, RejectedCause,
+    Verdict,
+};
+use residuals::{Residuals, compute_residuals_by_row, remove_zero_offset};
 use shortfall::Shortfall;
 use slow_drift::SlowDrift;
 use unexplained_residual::UnexplainedResidual;
@@ -119,7 +122,7 @@ pub(crate) fn build_diagnosis(
     data: Arc<DataTable>,
     problem: &FitProblem,
     found: SearchOutcome,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
     ExcludedRows { rows: aside, known }: ExcludedRows,
     asked: DiagnosisInputs<'_>,
 ) -> Result<Diagnosis, InputFileError> {
@@ -137,8 +140,8 @@ pub(crate) fn build_diagnosis(
     let compensated = compensated_model(&written.board);
     let test = asked.hold_out.map(|hold_out| &hold_out.data);
     let unseen = ValidationData { problem, folds: &found.folds, within, test };
-    let unseen_um = hold_out_rms_um(&unseen, &chosen, &compensated);
-    let machine = extended_file::extend_machine(&data, &written.board);
+    let [unseen_um, extended_unseen_um @ ..] = hold_out_rms_um(&unseen, &chosen, &compensated);
+    let machine = extended_machine_file::extend_machine(&data, &written.board);
     // The zero of an axis's measurement counts neither before nor after.
     let on_board = compute_board_residuals(&data, runs, &machine, &compensated, &aside);
     let on_board = remove_zero_offset(&data, on_board);
@@ -153,22 +156,22 @@ pub(crate) fn build_diagnosis(
     let held_out = is_corrected.then(|| parts.held_out_errors());
     let floor = held_out.as_ref().map(|held_out| held_out.figures.reduction_floor95);
     let shortfall = asked.hold_out.and_then(|hold_out| {
-        chosen.shortfall(&search, hold_out, &compensated, floor, &folds, within)
+        chosen.find_shortfall(&search, hold_out, &compensated, floor, &folds, within)
     });
     let questions = find_indistinguishable_pairs(problem, &found, judged);
     let has_outliers = known == OutlierJudgement::Wrong;
-    let notes = with_warnings(asked.notes, &aside, known, shortfall.as_ref());
+    let notes = append_warnings(asked.notes, &aside, known, shortfall.as_ref());
     let left = ResidualSummary::new(&search, &residuals, asked.matters_um);
     let (verdict, reasons) =
         left.decide_verdict(&search, &chosen, shortfall.as_ref(), has_outliers);
     let (verdict, reasons) = open.adjust_verdict(verdict, reasons);
     let Residuals { before, after, before_rows, after_rows, .. } = residuals;
     let is_most_unknown = left.unknown_rest.is_some_and(|rest| rest.is_most);
-    let mut findings = chosen.findings(&search, &open, &after, within, is_most_unknown);
+    let mut findings = chosen.build_findings(&search, &open, &after, within, is_most_unknown);
     findings.splice(0..0, open.to_finding(asked.bridge, &data, &after));
     findings.extend(has_outliers.then(|| build_outlier_finding(&data, &after, &aside)));
     let ResidualSummary { noise_um, repeats, power, wandering, .. } = left;
-    let gauge_um = gauge_noise_um(&data, problem, noise_um, repeats.is_some());
+    let gauge_um = estimate_gauge_noise_um(&data, problem, noise_um, repeats.is_some());
     let of_parts = is_corrected.then(|| parts.error_reduction_at_tool(gauge_um));
     let at_tool = promise.predict_error_on_table(&data, runs, of_parts)?;
     let law = &data.predicted.law;
@@ -184,8 +187,8 @@ pub(crate) fn build_diagnosis(
             * mean_row_interval_s(problem),
         detectable_um: power.found_um,
         wandering: wandering.as_ref().map(SlowDrift::to_report),
-        before: ErrorsBefore::from_residuals(&before_rows, unseen_um[0]),
-        after: ErrorsAfter::from_residuals(&after_rows, &on_board, [unseen_um[1], unseen_um[2]]),
+        before: ErrorsBeforeExtension::from_residuals(&before_rows, unseen_um),
+        after: ErrorsAfterExtension::from_residuals(&after_rows, &on_board, extended_unseen_um),
         verdict,
         reasons: deduplicate(reasons.iter().map(ToString::to_string)),
         notes,
@@ -212,11 +215,11 @@ pub(crate) fn build_diagnosis(
         questions,
         runs: runs.to_vec(),
     };
-    Ok(with_missing_inputs(diagnosis))
+    Ok(record_missing_inputs(diagnosis))
 }
 
 /// Returns `notes` with the notes about rows that were excluded as outliers, and of a hold-out.
-fn with_warnings(
+fn append_warnings(
     notes: Vec<String>,
     aside: &[bool],
     known: OutlierJudgement,
@@ -228,10 +231,10 @@ fn with_warnings(
 }
 
 /// Fills in which inputs the machine of a diagnosis that corrects needs.
-fn with_missing_inputs(mut diagnosis: Diagnosis) -> Diagnosis {
+fn record_missing_inputs(mut diagnosis: Diagnosis) -> Diagnosis {
     if diagnosis.has_corrections() {
         diagnosis.report.missing_inputs =
-            missing_input_lines(&extended_file::extended_machine(&diagnosis));
+            missing_input_lines(&extended_machine_file::extended_machine(&diagnosis));
     }
     diagnosis
 }
@@ -304,7 +307,7 @@ fn hold_out_rms_um(
     } else {
         chosen.written.hold_out_rms_um(unseen, unseen.problem, compensated)
     };
-    [unseen.uncompensated_rms_um(), after_um, compensated_um]
+    [unseen.current_file_residual_rms_um(), after_um, compensated_um]
 }
 
 /// Returns the sentences in their order, none of them twice: forms of one cause say the same.
@@ -322,7 +325,7 @@ fn deduplicate(sentences: impl Iterator<Item = String>) -> Vec<String> {
 /// form that needs no feed.
 fn compensated_model(model: &Model) -> Model {
     let mut compensated = model.clone();
-    compensated.parts.retain(|part| part.kind.is_compensated());
+    compensated.parts.retain(|part| part.kind.is_compensable());
     compensated.parts.iter_mut().for_each(ModelPart::remove_feed_dependence);
     if compensated.parts.is_empty() { Model::default() } else { compensated }
 }
@@ -349,7 +352,12 @@ fn estimate_noise_um(
 
 /// Returns the part of `estimate_noise_um` that is surely the gauge's: it was seen at repeats, or from reading to reading while
 /// next to nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
-fn gauge_noise_um(data: &DataTable, problem: &FitProblem, noise_um: f64, is_repeated: bool) -> f64 {
+fn estimate_gauge_noise_um(
+    data: &DataTable,
+    problem: &FitProblem,
+    noise_um: f64,
+    is_repeated: bool,
+) -> f64 {
     let moves = data.own_position_mm().is_some_and(|mm| peak_to_peak(mm) > 0.0);
     let stated_um = data.setting.machine.instrument_um.map(|um| um / COVERAGE);
     if is_repeated || !moves && problem.data.time_s().is_some() {

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use crate::{
     data::{DataTable, forward_fill},
-    diagnosis::range::{largest_rise, min_max},
+    diagnosis::value_range::{largest_rise, min_max},
     fit::FitProblem,
     term_kind::ModelPart,
 };
@@ -19,9 +19,9 @@ const MIN_READINGS_PER_SIDE: usize = 7;
 /// at mid-travel and both ends.
 const MIN_APPROACH_POSITIONS: usize = 3;
 /// The pages require a record this many times as long as the time constant.
-const MIN_RECORD_TIME_CONSTANTS: f64 = 3.0;
+const MIN_RECORD_TO_TIME_CONSTANT_RATIO: f64 = 3.0;
 /// A position within this share of the travel of an end is at the end.
-const END_ZONE_SHARE: f64 = 0.1;
+const END_ZONE_FRACTION: f64 = 0.1;
 
 /// `asked`, or what remains where `problem` has that already.
 pub(super) fn next_measurement(problem: &FitProblem, part: &ModelPart, asked: String) -> String {
@@ -42,12 +42,12 @@ fn satisfies_request(problem: &FitProblem, part: &ModelPart, asked: &str) -> boo
     } else if asked.contains("with a cool-down") {
         let [_, three_records_s] = problem.bounds.time_constant_s;
         let is_long = part.kind.has_time_constant()
-            && MIN_RECORD_TIME_CONSTANTS * part.values[0] <= three_records_s / 3.0;
+            && MIN_RECORD_TO_TIME_CONSTANT_RATIO * part.values[0] <= three_records_s / 3.0;
         is_long && has_heating_and_cooling(data, column.as_deref()) && data.setting.files.len() > 1
     } else if asked.contains("a start from cold and a stop from warm") {
         has_heating_and_cooling(data, column.as_deref())
     } else if asked.contains("at both ends") {
-        has_ends_at_two_temperatures(data, column.as_deref())
+        has_axis_ends_at_two_temperatures(data, column.as_deref())
     } else if asked.contains("Change the speed quickly") {
         data.spindle_rpm().is_some_and(has_speed_steps)
     } else {
@@ -92,10 +92,10 @@ fn has_heating_and_cooling(data: &DataTable, column: Option<&str>) -> bool {
 }
 
 /// Returns whether the axis was at both ends, each at temperatures at least 5 K apart.
-fn has_ends_at_two_temperatures(data: &DataTable, column: Option<&str>) -> bool {
+fn has_axis_ends_at_two_temperatures(data: &DataTable, column: Option<&str>) -> bool {
     let Some(own) = data.own_position_mm() else { return false };
     let [low, high] = min_max(own.iter().copied());
-    let margin = END_ZONE_SHARE * (high - low);
+    let margin = END_ZONE_FRACTION * (high - low);
     relevant_temperatures(data, column).any(|values| {
         let spread = |is_there: &dyn Fn(f64) -> bool| {
             let there = (0..data.rows).filter(|&row| data.used[row] && is_there(own[row]));
@@ -124,7 +124,7 @@ fn has_speed_steps(speed_rpm: &[f64]) -> bool {
 mod tests {
     use std::{fmt::Write as _, path::Path};
 
-    use trueup_machine::{MachineFile, RunFile, file::Quantity};
+    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
 
     use super::*;
 

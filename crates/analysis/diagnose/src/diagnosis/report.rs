@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
-use super::errors::max_abs_error;
+use super::residuals::max_abs_error;
 use crate::fit::EQUIVALENCE_TOLERANCE;
 
-pub use crate::gain::TermGain;
+pub use crate::term_gain::TermGain;
 
 /// The whole answer.
 #[derive(Clone, Debug, Serialize)]
@@ -32,9 +32,9 @@ pub struct DiagnosisReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wandering: Option<SlowDriftReport>,
     /// Errors with the current machine file.
-    pub before: ErrorsBefore,
+    pub before: ErrorsBeforeExtension,
     /// Errors with the extended one.
-    pub after: ErrorsAfter,
+    pub after: ErrorsAfterExtension,
     /// The promised error at the tool on days like those of the runs.
     pub at_tool: ErrorAtTool,
     /// The promised error of a reading on such days; none where nothing is corrected.
@@ -91,7 +91,7 @@ pub struct OmittedCause {
 /// Errors without the extension, in µm. The arbitrary zero of an axis's measurement is no error of the
 /// runs; a hold-out is compared as it stands.
 #[derive(Clone, Debug, Serialize)]
-pub struct ErrorsBefore {
+pub struct ErrorsBeforeExtension {
     /// Root mean square.
     pub rms_um: f64,
     /// Largest.
@@ -100,7 +100,7 @@ pub struct ErrorsBefore {
     pub holdout_rms_um: f64,
 }
 
-impl ErrorsBefore {
+impl ErrorsBeforeExtension {
     pub(super) fn from_residuals(rows: &[f64], holdout_rms_um: f64) -> Self {
         Self { rms_um: rms(rows), max_um: max_abs_error(rows), holdout_rms_um }
     }
@@ -108,7 +108,7 @@ impl ErrorsBefore {
 
 /// Errors with the extension, in µm.
 #[derive(Clone, Debug, Serialize)]
-pub struct ErrorsAfter {
+pub struct ErrorsAfterExtension {
     /// Root mean square.
     pub rms_um: f64,
     /// Largest.
@@ -124,7 +124,7 @@ pub struct ErrorsAfter {
     pub compensated_max_um: f64,
 }
 
-impl ErrorsAfter {
+impl ErrorsAfterExtension {
     /// Returns the figures of the errors by row, of those of the board, and of both on the hold-out.
     pub(super) fn from_residuals(rows: &[f64], on_board: &[f64], holdout_um: [f64; 2]) -> Self {
         let [holdout_rms_um, compensated_holdout_rms_um] = holdout_um;

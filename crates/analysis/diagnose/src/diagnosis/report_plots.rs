@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 use trueup_page::choose_time_unit;
 
 use crate::{
@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// More lines than that over each other are a cloud.
-const MAX_LINE_SERIES: usize = 12;
+const MAX_PLOTTED_LINE_SERIES: usize = 12;
 
 /// Measured and predicted, and what is left, over the main axis.
 pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
@@ -47,7 +47,7 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
         .windows(2)
         .filter(|two| data.places.series[two[0]] != data.places.series[two[1]])
         .count();
-    if !has_curves && series > MAX_LINE_SERIES {
+    if !has_curves && series > MAX_PLOTTED_LINE_SERIES {
         lists.push(PlotSeries::dots(&x, &before, ColourRole::Before));
         lists.push(PlotSeries::dots(&x, &after, ColourRole::After));
     } else if !has_curves {

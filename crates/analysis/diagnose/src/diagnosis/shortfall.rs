@@ -3,7 +3,7 @@
 //! Of few rows a mean square is known badly: one gross reading makes it. Then the hold-out does not say that the promise fails, and
 //! not that it holds either; the rows that leave the most are named.
 
-use trueup_numerics::blocks::{Blocks, rms};
+use trueup_numerics::block_resampling::{Blocks, rms};
 
 use crate::{
     data::DataTable,
@@ -11,7 +11,8 @@ use crate::{
         held_out_errors::describe_unseen_categories,
         hold_out::HoldOut,
         hold_out_degradation::{
-            describe_new_inputs, describe_worst_interval, excess_squared_errors, row_in_file,
+            describe_inputs_outside_training, describe_worst_interval, excess_squared_errors,
+            locate_row_in_file,
         },
         report::is_meaningful_reduction_floor,
     },
@@ -41,7 +42,7 @@ pub(super) struct GrossErrorRows {
 }
 
 /// Of more rows than this share of a hold-out it is not reported that they are the exception.
-const MAX_GROSS_ERROR_SHARE: f64 = 0.1;
+const MAX_GROSS_ERROR_FRACTION: f64 = 0.1;
 
 /// The promise that a hold-out is compared with.
 pub(super) struct ReductionBounds {
@@ -86,8 +87,8 @@ impl Shortfall {
             places.extend(describe_worst_interval(training, hold_out, &excess));
             return Some(Self { floor, came, most, places, gross: None });
         }
-        places.extend(describe_new_inputs(training, hold_out, &excess));
-        let gross = GrossErrorRows::find_fewest(hold_out, test, rows, floor);
+        places.extend(describe_inputs_outside_training(training, hold_out, &excess));
+        let gross = GrossErrorRows::find_minimal_set(hold_out, test, rows, floor);
         Some(Self { floor, came, most, places, gross })
     }
 
@@ -126,7 +127,7 @@ impl Shortfall {
 impl GrossErrorRows {
     /// Returns the fewest of `rows`, each with what is left of it before and after in µm, without which the rest keeps the
     /// `floor`; none where they are more than a tenth.
-    fn find_fewest(
+    fn find_minimal_set(
         hold_out: &HoldOut<'_>,
         test: &DataTable,
         mut rows: Vec<(usize, [f64; 2])>,
@@ -138,13 +139,13 @@ impl GrossErrorRows {
                 [0, 1].map(|n| rows.iter().map(|(_, left)| left[n].powi(2)).sum::<f64>());
             1.0 - (after / before).sqrt()
         };
-        let most = (MAX_GROSS_ERROR_SHARE * rows.len() as f64) as usize;
+        let most = (MAX_GROSS_ERROR_FRACTION * rows.len() as f64) as usize;
         let count = (1..=most).find(|count| reduction(&rows[*count..]) >= floor)?;
         let (gross, rest) = rows.split_at(count);
         let mut gross = gross.to_vec();
         gross.sort_by_key(|(row, _)| *row);
         let describe = |(row, [_, um]): &(usize, [f64; 2])| {
-            let (row, name) = row_in_file(test, hold_out, *row);
+            let (row, name) = locate_row_in_file(test, hold_out, *row);
             format!("row {row} of {name} ({um:+.1} µm)")
         };
         Some(Self { rows: gross.iter().map(describe).collect(), reduction: reduction(rest) })

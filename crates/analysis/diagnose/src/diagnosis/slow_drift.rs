@@ -10,8 +10,8 @@ use super::report;
 use crate::{
     data::DataTable,
     fit::FitProblem,
-    parameters::mean_row_interval_s,
-    search::{SearchOutcome, criterion::MAJORITY_SHARE},
+    parameter_estimates::mean_row_interval_s,
+    search::{SearchOutcome, model_comparison::MAJORITY_FRACTION},
 };
 
 /// Slow wandering.
@@ -79,7 +79,7 @@ impl SlowDrift {
                 true => CorrelationTime::Seconds(rows * mean_row_interval_s(problem)),
                 false => CorrelationTime::Rows(rows),
             },
-            to_record: unrecorded_inputs(data),
+            to_record: find_unrecorded_inputs(data),
         })
     }
 }
@@ -88,11 +88,11 @@ impl SlowDrift {
 /// neighbours say more about a row than its own reading does.
 pub(super) fn has_slow_drift(problem: &FitProblem, found: &SearchOutcome) -> bool {
     let independent = noise::effective_sample_size(found.noise, &problem.groups.steps);
-    independent <= MAJORITY_SHARE * problem.groups.len() as f64
+    independent <= MAJORITY_FRACTION * problem.groups.len() as f64
 }
 
 /// Returns what moves machines slowly and is no column of these runs.
-fn unrecorded_inputs(data: &DataTable) -> Vec<&'static str> {
+fn find_unrecorded_inputs(data: &DataTable) -> Vec<&'static str> {
     let all = data.temperatures().iter().chain(data.unknown_columns());
     let names: Vec<String> = all.map(|(name, _)| name.to_lowercase()).collect();
     let has =

@@ -10,10 +10,10 @@ use super::report::Finding;
 use crate::{data::DataTable, term_kind::ModelPart};
 
 /// Rows before and after that are looked at.
-const HALF_WINDOW_ROWS: usize = 40;
+const STEP_HALF_WINDOW_ROWS: usize = 40;
 /// A ramp has two ends where a step has one instant: this many times the squares of a reading's noise must it leave
 /// less.
-const MIN_GAIN_VARIANCES: f64 = 12.0;
+const MIN_GAIN_NOISE_VARIANCES: f64 = 12.0;
 
 /// Adds to the finding of a step how long it took, where it was slower than a reading; `after` is what the answer says
 /// of each row, in µm.
@@ -24,14 +24,21 @@ pub(super) fn append_duration_sentence(
     after: &[f64],
 ) {
     let Some(Effect::Step(step)) = part.cause() else { return };
-    let Some(duration_s) = step_duration_s(step.at_s, step.size_um, data, after) else { return };
+    let Some(duration_s) = estimate_step_duration_s(step.at_s, step.size_um, data, after) else {
+        return;
+    };
     let took = format!("It took about {duration_s:.0} s, not one reading.");
     finding.sentence = format!("{} {took}", finding.sentence);
     finding.evidence.push(took);
     finding.parameters.insert("duration_s".into(), json!({ "value": duration_s }));
 }
 
-fn step_duration_s(at_s: f64, size_um: f64, data: &DataTable, after: &[f64]) -> Option<f64> {
+fn estimate_step_duration_s(
+    at_s: f64,
+    size_um: f64,
+    data: &DataTable,
+    after: &[f64],
+) -> Option<f64> {
     let time_s = data.time_s()?;
     let rows: Vec<(f64, f64)> = (0..data.rows)
         .filter(|&row| time_s[row].is_finite() && data.measured[row].is_finite())
@@ -42,12 +49,13 @@ fn step_duration_s(at_s: f64, size_um: f64, data: &DataTable, after: &[f64]) -> 
         .filter(|(_, um)| um.is_finite())
         .collect();
     let at = rows.iter().position(|(time_s, _)| *time_s >= at_s)?;
-    let rows = &rows[at.saturating_sub(HALF_WINDOW_ROWS)..(at + HALF_WINDOW_ROWS).min(rows.len())];
-    ramp_duration_s(rows, at_s, size_um)
+    let rows = &rows
+        [at.saturating_sub(STEP_HALF_WINDOW_ROWS)..(at + STEP_HALF_WINDOW_ROWS).min(rows.len())];
+    estimate_ramp_duration_s(rows, at_s, size_um)
 }
 
 /// Returns how long a ramp of this size takes through rows of time and error; `None` where it is a step.
-fn ramp_duration_s(rows: &[(f64, f64)], at_s: f64, size_um: f64) -> Option<f64> {
+fn estimate_ramp_duration_s(rows: &[(f64, f64)], at_s: f64, size_um: f64) -> Option<f64> {
     let squares = |first_s: f64, last_s: f64| -> f64 {
         let left = |&(time_s, um): &(f64, f64)| {
             let share = if last_s > first_s {
@@ -73,24 +81,24 @@ fn ramp_duration_s(rows: &[(f64, f64)], at_s: f64, size_um: f64) -> Option<f64> 
     }
     let (left, first, last) = best;
     let noise = left / (rows.len() as f64 - 3.0).max(1.0);
-    (last > first + 2 && step - left > MIN_GAIN_VARIANCES * noise)
+    (last > first + 2 && step - left > MIN_GAIN_NOISE_VARIANCES * noise)
         .then(|| rows[last].0 - rows[first].0)
 }
 
 #[cfg(test)]
 mod tests {
-    use trueup_numerics::random::Generator;
+    use trueup_numerics::random::RandomGenerator;
 
     use super::*;
 
     /// Returns a creep of 15 µm over `rows` rows of 60 s, from 3000 s on.
     fn creep(rows: usize) -> Option<f64> {
-        let mut noise = Generator::new(4);
+        let mut noise = RandomGenerator::new(4);
         let share = |row: usize| ((row as f64 - 50.0) / rows as f64).clamp(0.0, 1.0);
         let all: Vec<(f64, f64)> = (10..90)
             .map(|row| (60.0 * row as f64, 15.0 * share(row) + 0.5 * noise.normal()))
             .collect();
-        ramp_duration_s(&all, 60.0 * (50 + rows.div_ceil(2)) as f64, 15.0)
+        estimate_ramp_duration_s(&all, 60.0 * (50 + rows.div_ceil(2)) as f64, 15.0)
     }
 
     #[test]

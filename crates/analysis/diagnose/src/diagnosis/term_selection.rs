@@ -11,21 +11,21 @@
 //! shows is no rival.
 
 use trueup_machine::RunFile;
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
     diagnosis::{
         fit_degradation::is_fit_degraded, measured_ranges::MeasuredRanges,
-        omission::OmissionReason, report::CoupledCause, report::Finding,
+        omission_reason::OmissionReason, report::CoupledCause, report::Finding,
         written_terms::WrittenTerms,
     },
     fit::FitProblem,
     folds::Folds,
-    gain::TermGain,
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
     predict::{HeldOutResiduals, select_correction},
-    search::{SearchOutcome, criterion::MAX_EQUIVALENT_RMS_RATIO, initial_model},
+    search::{SearchOutcome, initial_model, model_comparison::MAX_EQUIVALENT_RMS_RATIO},
+    term_gain::TermGain,
     term_kind::TermKind,
 };
 
@@ -44,7 +44,7 @@ pub(super) struct TermSelection {
 /// Returns whether the claimed terms are all there is: nothing that is left is correlated with an input, or wanders.
 pub(super) fn is_fully_explained(
     found: &SearchOutcome,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
     wanders: bool,
 ) -> bool {
     found.lack_of_fit.is_empty()
@@ -60,7 +60,7 @@ impl WrittenTerms {
         &mut self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
         joint: &Model,
         runs: &[RunFile],
     ) -> TermSelection {
@@ -68,7 +68,7 @@ impl WrittenTerms {
         let parts = joint.parts.iter();
         // A step is seen by the blocks; a drift goes as what is slow does.
         let is_drift =
-            |kind: &TermKind| !kind.is_compensated() && kind.is_additive() && !kind.has_instant();
+            |kind: &TermKind| !kind.is_compensable() && kind.is_additive() && !kind.has_instant();
         let parts = parts.filter(|part| is_drift(&part.kind)).cloned();
         let drift = Model { parts: parts.collect(), constant_um: None };
         let [with_drift, believed] = [&drift, &Model::default()].map(|model| on.predict(model));
@@ -76,7 +76,7 @@ impl WrittenTerms {
             with_drift.iter().zip(believed).map(|(um, of_file)| um - of_file).collect();
         let folds = Folds::for_prediction(on);
         let is_better = |before: &[f64], after: &[f64]| {
-            found.folds.paired_comparison(before, after).is_significant()
+            found.folds.compare_paired(before, after).is_significant()
         };
         // A machine changes with the days: what the beginning says has to hold for the rest.
         let left_by_file = on.residual(&Model::default());
@@ -104,7 +104,7 @@ impl WrittenTerms {
             if has_names {
                 !is_better(&named, predicted)
             } else {
-                is_shown && found.folds.paired_comparison(predicted, &named).is_better()
+                is_shown && found.folds.compare_paired(predicted, &named).is_better()
             }
         };
         let room = MAX_BOARD_TERMS.saturating_sub(problem.data.setting.machine.terms.len());
@@ -113,14 +113,16 @@ impl WrittenTerms {
                 && is_better(&original, &correction.foreseen.left)
                 && goes_on(&correction.foreseen)
                 && !is_rival(&correction.foreseen.left)
-                && MeasuredRanges::new(on, runs).first_violation(on, &correction.model).is_none()
+                && MeasuredRanges::new(on, runs)
+                    .find_first_violation(on, &correction.model)
+                    .is_none()
                 && !is_fit_degraded(on, &correction.model)
         });
         if let Some(prediction) = prediction {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;
             let others = named.into_iter().filter(|part| !self.board.contains(&part.kind));
             let others: Vec<_> =
-                others.map(|part| (part.kind, OmissionReason::ForesawLess)).collect();
+                others.map(|part| (part.kind, OmissionReason::PredictsWorse)).collect();
             self.left.extend(others);
             return TermSelection { foreseen: Some(prediction.foreseen), is_predicted: true };
         }
@@ -133,7 +135,7 @@ pub(super) fn build_prediction_findings(
     problem: &FitProblem,
     written: &WrittenTerms,
     foreseen: &HeldOutResiduals,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
     folds: &Folds,
 ) -> Vec<Finding> {
     let on = written.board_problem(problem);

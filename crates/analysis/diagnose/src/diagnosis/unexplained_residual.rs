@@ -10,9 +10,9 @@ use trueup_page::format_micrometres;
 
 use crate::{
     data::DataTable,
-    diagnosis::power::COVERAGE,
+    diagnosis::detection_power::COVERAGE,
     repeats::{MAX_REPEATABILITY_STD_UM, POSITION_TOLERANCE_MM, RepeatStatistics},
-    search::criterion::MAJORITY_SHARE,
+    search::model_comparison::MAJORITY_FRACTION,
 };
 
 /// Second readings from which a scatter is known: to a third, by its χ² with five degrees of freedom.
@@ -48,7 +48,7 @@ impl UnexplainedResidual {
         (left_um > MAX_REPEATABILITY_STD_UM && !is_explained).then_some(Self {
             left_um,
             gauge_um,
-            is_most: left_um > MAJORITY_SHARE * before_um,
+            is_most: left_um > MAJORITY_FRACTION * before_um,
         })
     }
 }

@@ -4,10 +4,10 @@
 //! fitted with, and never takes a new one to look better. Where blocks of the runs themselves are held
 //! out, the arbitrary zero of an axis's measurement counts neither before nor after.
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
-    data::DataTable, diagnosis::errors::compute_residuals, fit::FitProblem, folds::Folds,
+    data::DataTable, diagnosis::residuals::compute_residuals, fit::FitProblem, folds::Folds,
     model::Model, search::initial_model,
 };
 
@@ -22,7 +22,7 @@ pub(super) struct ValidationData<'u> {
 
 impl ValidationData<'_> {
     /// Returns what the current machine file leaves: RMS, in µm.
-    pub(super) fn uncompensated_rms_um(&self) -> f64 {
+    pub(super) fn current_file_residual_rms_um(&self) -> f64 {
         let on_blocks = || {
             let zero = initial_model(&self.problem.data);
             if zero.constant_um.is_none() {
@@ -36,7 +36,7 @@ impl ValidationData<'_> {
     /// Returns what `model` leaves; without terms it is the current machine file.
     pub(super) fn model_rms_um(&self, model: &Model) -> f64 {
         if model.parts.is_empty() {
-            return self.uncompensated_rms_um();
+            return self.current_file_residual_rms_um();
         }
         let on_blocks = || self.rms_over_rows(&self.folds.held_out_residuals(self.problem, model));
         self.test.map_or_else(on_blocks, |test| hold_out_residual_rms_um(test, model))

@@ -6,15 +6,15 @@ use trueup_page::format_micrometres;
 
 use crate::{
     diagnosis::{
+        detection_power::{COVERAGE, DetectionPower},
         final_model::MAX_MACHINE_TIER,
-        power::{COVERAGE, DetectionPower},
+        hold_out_evaluation::HoldOutEvaluation,
         report::Verdict,
         shortfall::Shortfall,
         slow_drift::SlowDrift,
-        transfer::HoldOutEvaluation,
         unexplained_residual::UnexplainedResidual,
     },
-    judgement::Judgement,
+    judgement::TermJudgement,
     repeats::{MAX_REPEATABILITY_STD_UM, RepeatStatistics},
     search::{
         SearchOutcome,
@@ -33,24 +33,24 @@ pub(crate) enum VerdictReason {
     /// A table holds at its points, and is doubted between them.
     BetweenPoints,
     /// A finding is not claimed.
-    Open,
+    UnclaimedFinding,
     /// The terms were chosen for what they predict.
     Predicted,
     OnlyNoise,
     /// The residual is as small as the uncertainty of the instrument.
-    OfInstrument,
+    WithinInstrumentUncertainty,
     /// A term that is periodic in time is driven by something that was not recorded.
-    ByTheClock,
+    PeriodicInTime,
     /// No error of a size that matters could have been distinguished from noise.
-    TooLittle(DetectionPower),
-    Wanders(SlowDrift),
+    InsufficientPower(DetectionPower),
+    SlowDriftRemains(SlowDrift),
     /// What is left may be the machine as well as the gauge.
     UnexplainedResidual(UnexplainedResidual),
     /// The CNC applies the offsets otherwise than once.
     OffsetApplication,
     /// It may do so: the bridge was engaged in all rows.
     Engaged,
-    NothingFires,
+    NoLackOfFitFound,
     /// The hold-out is worse with the model as it was found: RMS before and after, in µm.
     Harm {
         before_um: f64,
@@ -90,7 +90,7 @@ impl fmt::Display for VerdictReason {
             Self::BetweenPoints => f.write_str(
                 "a table holds at its points; what it is worth between them these points cannot show",
             ),
-            Self::Open => {
+            Self::UnclaimedFinding => {
                 f.write_str("two causes cannot be separated, or a parameter is not yet identified")
             }
             Self::Predicted => f.write_str(
@@ -117,15 +117,15 @@ impl fmt::Display for VerdictReason {
                 format_micrometres(*before_um),
                 format_micrometres(*after_um)
             ),
-            Self::OfInstrument => f.write_str(
+            Self::WithinInstrumentUncertainty => f.write_str(
                 "what is left is as small as what the instrument is worth: the model stays",
             ),
-            Self::TooLittle(DetectionPower { rows, matters_um, needed, .. }) => write!(
+            Self::InsufficientPower(DetectionPower { rows, matters_um, needed, .. }) => write!(
                 f,
                 "{rows} rows cannot separate an error of {} RMS from noise: {needed}",
                 format_micrometres(*matters_um)
             ),
-            Self::Wanders(wandering) => wandering.fmt(f),
+            Self::SlowDriftRemains(wandering) => wandering.fmt(f),
             Self::UnexplainedResidual(rest) => rest.fmt(f),
             Self::OffsetApplication => f.write_str(
                 "the CNC applies the offset otherwise than once: the machine file stays until that is put right",
@@ -134,10 +134,10 @@ impl fmt::Display for VerdictReason {
                 "the bridge was engaged, and how the CNC applies the offset is not known. The \
                  error may be in the CNC or in the machine file, so nothing is written",
             ),
-            Self::ByTheClock => f.write_str(
+            Self::PeriodicInTime => f.write_str(
                 "an error that is periodic in time has a cause that was not recorded; the next record has another phase",
             ),
-            Self::NothingFires => f.write_str("no test of structure fires on what is left"),
+            Self::NoLackOfFitFound => f.write_str("no test of structure fires on what is left"),
         }
     }
 }
@@ -145,7 +145,7 @@ impl fmt::Display for VerdictReason {
 /// Evidence for a verdict.
 pub(super) struct VerdictEvidence<'g> {
     pub found: &'g SearchOutcome,
-    pub judged: &'g [Judgement],
+    pub judged: &'g [TermJudgement],
     /// Whether some readings were excluded as outliers.
     pub has_outliers: bool,
     pub repeats: Option<&'g RepeatStatistics>,
@@ -170,14 +170,14 @@ pub(super) struct VerdictEvidence<'g> {
 /// Returns the verdict on an answer, and why.
 pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictReason>) {
     let (verdict, mut reasons) = decide_run_verdict(grounds);
-    reasons.extend(grounds.wandering.cloned().map(VerdictReason::Wanders));
+    reasons.extend(grounds.wandering.cloned().map(VerdictReason::SlowDriftRemains));
     let Some(transfer) = grounds.transfer else { return (verdict, reasons) };
     let (before_um, after_um) = (transfer.before_um, transfer.found_um);
     if !transfer.dropped.is_empty() {
         let mut harm = vec![VerdictReason::Harm { before_um, after_um }];
         harm.extend(transfer.places.iter().cloned().map(VerdictReason::WorseAt));
         harm.extend(
-            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NothingFires)),
+            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NoLackOfFitFound)),
         );
         return (Verdict::DoesNotTransfer, harm);
     }
@@ -187,7 +187,7 @@ pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<Ver
         let mut short = vec![VerdictReason::FallsShort { floor: *floor, came: *came, most: *most }];
         short.extend(places.iter().cloned().map(VerdictReason::DiffersIn));
         short.extend(
-            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NothingFires)),
+            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NoLackOfFitFound)),
         );
         return (Verdict::FallsShort, short);
     }
@@ -206,7 +206,7 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
     let mut reasons: Vec<VerdictReason> =
         found.lack_of_fit.iter().cloned().map(VerdictReason::LackOfFit).collect();
     let mut laws: Vec<&CurveInputs> = Vec::new();
-    for law in judged.iter().filter_map(Judgement::other_law) {
+    for law in judged.iter().filter_map(TermJudgement::better_law_inputs) {
         if !laws.contains(&law) {
             laws.push(law);
         }
@@ -218,13 +218,14 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
     if judged.is_empty() && !grounds.is_predicted {
         return decide_verdict_without_cause(grounds, reasons);
     }
-    let is_doubted =
-        |judgement: &Judgement| !judgement.doubts.is_empty() && judgement.other_law().is_none();
+    let is_doubted = |judgement: &TermJudgement| {
+        !judgement.doubts.is_empty() && judgement.better_law_inputs().is_none()
+    };
     if grounds.is_withheld || judged.iter().any(is_doubted) {
-        reasons.push(VerdictReason::Open);
+        reasons.push(VerdictReason::UnclaimedFinding);
     }
-    if judged.iter().any(|judgement| judgement.cause().is_clock_periodic()) {
-        reasons.push(VerdictReason::ByTheClock);
+    if judged.iter().any(|judgement| judgement.cause().is_periodic_in_time()) {
+        reasons.push(VerdictReason::PeriodicInTime);
     }
     reasons.extend(grounds.unknown_rest.map(VerdictReason::UnexplainedResidual));
     if judged.iter().any(|judgement| {
@@ -237,7 +238,7 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
     let wanders =
         grounds.has_drift_above_uncertainty() || is_of_time && grounds.has_drift_above_noise();
     if reasons.is_empty() && !wanders {
-        (Verdict::Explained, vec![VerdictReason::NothingFires])
+        (Verdict::Explained, vec![VerdictReason::NoLackOfFitFound])
     } else {
         (Verdict::PartlyExplained, reasons)
     }
@@ -264,10 +265,13 @@ fn decide_verdict_without_cause(
         return (Verdict::Unexplained, reasons);
     }
     if !power.is_enough {
-        return (Verdict::TooLittleData, vec![VerdictReason::TooLittle(power.clone())]);
+        return (Verdict::TooLittleData, vec![VerdictReason::InsufficientPower(power.clone())]);
     }
-    let reason =
-        if power.is_of_instrument { VerdictReason::OfInstrument } else { VerdictReason::OnlyNoise };
+    let reason = if power.is_of_instrument {
+        VerdictReason::WithinInstrumentUncertainty
+    } else {
+        VerdictReason::OnlyNoise
+    };
     (if grounds.has_outliers { Verdict::Explained } else { Verdict::Clean }, vec![reason])
 }
 

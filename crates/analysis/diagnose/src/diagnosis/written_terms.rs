@@ -19,29 +19,29 @@ use std::sync::Arc;
 
 use trueup_machine::RunFile;
 use trueup_numerics::{
-    blocks::rms,
+    block_resampling::rms,
     robust::{MAX_OUTLIER_FRACTION, MIN_CUTOFF_SCALES, median},
 };
 
 use crate::{
     data::DataTable,
     diagnosis::{
-        errors::remove_zero_offset,
         final_model::{without_causes, without_record_specific_terms},
         fit_degradation::is_fit_degraded,
         hold_out::HoldOut,
+        hold_out_evaluation::HoldOutEvaluation,
         measured_ranges::MeasuredRanges,
-        omission::OmissionReason,
-        transfer::HoldOutEvaluation,
+        omission_reason::OmissionReason,
+        residuals::remove_zero_offset,
         validation_data::ValidationData,
     },
+    extension_terms::ExtensionTerms,
     fit::{FitProblem, FittedModel, fit},
-    judgement::Judgement,
+    judgement::TermJudgement,
     model::Model,
-    parameters::{ParameterEstimates, estimate_parameters},
-    search::{SearchOutcome, criterion::estimate_noise, initial_model},
+    parameter_estimates::{ParameterEstimates, estimate_parameters},
+    search::{SearchOutcome, initial_model, model_comparison::estimate_noise},
     term_kind::TermKind,
-    terms::ExtensionTerms,
 };
 
 /// The written terms of an answer, and those that are not.
@@ -75,14 +75,14 @@ impl WrittenTerms {
     pub(crate) fn new(
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
         joint: &Model,
         runs: &[RunFile],
     ) -> Self {
         let own = without_unsupported_terms(problem);
         let mut written =
             Self { board: joint.clone(), explains: Model::default(), own, left: Vec::new() };
-        let only_explains: Vec<TermKind> = filter_term_kinds(joint, |kind| !kind.is_compensated());
+        let only_explains: Vec<TermKind> = filter_term_kinds(joint, |kind| !kind.is_compensable());
         if !only_explains.is_empty() || written.own.is_some() {
             written.board = written.refit_board_terms(problem, found, judged, joint);
             written.drop_dependent_terms(problem, found, judged);
@@ -109,7 +109,7 @@ impl WrittenTerms {
         &self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
         joint: &Model,
     ) -> Model {
         let problem = self.board_problem(problem);
@@ -135,7 +135,7 @@ impl WrittenTerms {
         &mut self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
     ) {
         let is_claimed = |kind: &TermKind| {
             judged.iter().any(|judgement| judgement.cause() == kind && judgement.doubts.is_empty())
@@ -145,12 +145,12 @@ impl WrittenTerms {
             let fitted = evaluate_model(on, &self.board);
             let noise = estimate_noise(on, &fitted.residual, fitted.degrees);
             let with = found.folds.held_out_residuals(on, &self.board);
-            let run = self.board.parts.iter().filter(|part| part.kind.is_compensated());
+            let run = self.board.parts.iter().filter(|part| part.kind.is_compensable());
             let held_up = run.filter_map(|part| {
-                let without = self.refit_without(on, &part.kind);
+                let without = self.refit_without_term(on, &part.kind);
                 let paired = found
                     .folds
-                    .paired_comparison(&found.folds.held_out_residuals(on, &without), &with);
+                    .compare_paired(&found.folds.held_out_residuals(on, &without), &with);
                 let is_unsettled = || estimate_parameters(on, &fitted, part, noise).reaches_nothing;
                 let is_held_up = paired.gain <= 0.0
                     || is_unsettled() && !(is_claimed(&part.kind) && paired.is_better());
@@ -158,13 +158,13 @@ impl WrittenTerms {
             });
             let least = held_up.min_by(|a, b| a.0.total_cmp(&b.0));
             let Some((_, kind, without)) = least else { return };
-            self.left.push((kind, OmissionReason::HeldUp));
+            self.left.push((kind, OmissionReason::DependsOnUncompensatedTerm));
             self.board = without;
         }
     }
 
     /// Returns the board's terms without one, fitted again.
-    fn refit_without(&self, on: &FitProblem, kind: &TermKind) -> Model {
+    fn refit_without_term(&self, on: &FitProblem, kind: &TermKind) -> Model {
         let rest = without_causes(on, &self.board, std::iter::once(kind));
         if rest.parts.is_empty() { rest } else { fit(on, &rest, None).model }
     }
@@ -179,16 +179,16 @@ impl WrittenTerms {
         let on = self.board_problem(problem);
         let bounds = MeasuredRanges::new(on, runs);
         let (mut board, mut left) = (self.board.clone(), Vec::new());
-        while let Some((_, why)) = bounds.first_violation(on, &board_model(&board)) {
+        while let Some((_, why)) = bounds.find_first_violation(on, &board_model(&board)) {
             // Tables and curves answer for themselves, by their repeats and point by point.
-            let is_single = |kind: &TermKind| kind.is_compensated() && kind.list_length().is_none();
+            let is_single = |kind: &TermKind| kind.is_compensable() && kind.list_length().is_none();
             let single = board.parts.iter().filter(|part| is_single(&part.kind));
             let tried = single.map(|part| {
                 let rest = without_causes(on, &board, std::iter::once(&part.kind));
                 let rest = if rest.parts.is_empty() { rest } else { fit_trimmed(on, &rest) };
                 let left_um = robust_residual_std(&found.folds.held_out_residuals(on, &rest));
                 (
-                    bounds.first_violation(on, &board_model(&rest)).is_some(),
+                    bounds.find_first_violation(on, &board_model(&rest)).is_some(),
                     left_um,
                     part.kind.clone(),
                     rest,
@@ -209,7 +209,7 @@ impl WrittenTerms {
         &mut self,
         problem: &FitProblem,
         found: &SearchOutcome,
-        judged: &[Judgement],
+        judged: &[TermJudgement],
     ) {
         if self.board.parts.is_empty() {
             return;
@@ -218,9 +218,9 @@ impl WrittenTerms {
         let foresees = |model: &Model| {
             let [before, after] = [&initial_model(&on.data), model]
                 .map(|model| found.folds.held_out_residuals(on, model));
-            found.folds.paired_comparison(&before, &after).is_better()
+            found.folds.compare_paired(&before, &after).is_better()
         };
-        let is_claimed = |judgement: &Judgement| {
+        let is_claimed = |judgement: &TermJudgement| {
             judgement.doubts.is_empty() && self.board.contains(judgement.cause())
         };
         let is_certain = judged.iter().any(is_claimed);
@@ -238,7 +238,7 @@ impl WrittenTerms {
     /// Returns what of `joint` only explains, fitted to what the board's terms leave.
     fn fit_uncompensated_terms(&self, problem: &FitProblem, joint: &Model) -> Model {
         let mut model = Model {
-            parts: joint.parts.iter().filter(|part| !part.kind.is_compensated()).cloned().collect(),
+            parts: joint.parts.iter().filter(|part| !part.kind.is_compensable()).cloned().collect(),
             constant_um: Some(0.0),
         };
         if model.parts.is_empty() {
@@ -273,7 +273,9 @@ impl WrittenTerms {
         let HoldOutEvaluation { model, dropped, .. } =
             HoldOutEvaluation::new(self.board_problem(problem), self.board.clone(), hold_out);
         self.board = model;
-        self.left.extend(dropped.into_iter().map(|kind| (kind, OmissionReason::HeldUp)));
+        self.left.extend(
+            dropped.into_iter().map(|kind| (kind, OmissionReason::DependsOnUncompensatedTerm)),
+        );
     }
 
     /// Returns what `compensated`, as the board runs it, leaves on data that were not used for the fit.
@@ -297,8 +299,8 @@ impl WrittenTerms {
     /// drift and a jump come again; an error of the instrument or of a clock is not at the tool.
     pub(super) fn uncompensated_mean_square(&self, data: &DataTable, model: &Model) -> f64 {
         let is_of_machine = |kind: &TermKind| !kind.is_instrument_error() && !kind.is_time_shift();
-        let of_machine = |kind: &TermKind| kind.is_compensated() || is_of_machine(kind);
-        if filter_term_kinds(model, |kind| !kind.is_compensated() && is_of_machine(kind)).is_empty()
+        let of_machine = |kind: &TermKind| kind.is_compensable() || is_of_machine(kind);
+        if filter_term_kinds(model, |kind| !kind.is_compensable() && is_of_machine(kind)).is_empty()
         {
             return 0.0;
         }
@@ -335,7 +337,7 @@ impl WrittenTerms {
 /// Returns the parts that the board runs. Without one the machine file stays, and with it its zero.
 fn board_model(model: &Model) -> Model {
     let parts: Vec<_> =
-        model.parts.iter().filter(|part| part.kind.is_compensated()).cloned().collect();
+        model.parts.iter().filter(|part| part.kind.is_compensable()).cloned().collect();
     if parts.is_empty() { Model::default() } else { Model { parts, ..model.clone() } }
 }
 
@@ -354,7 +356,7 @@ fn without_unsupported_terms(problem: &FitProblem) -> Option<FitProblem> {
 fn evaluate_model(problem: &FitProblem, model: &Model) -> FittedModel {
     let residual = problem.residual(model);
     let sum = residual.iter().map(|r| r * r).sum();
-    let degrees = crate::search::criterion::degrees_of_freedom(model);
+    let degrees = crate::search::model_comparison::degrees_of_freedom(model);
     FittedModel { model: model.clone(), residual, sum, degrees }
 }
 

@@ -2,15 +2,15 @@
 
 use nalgebra::DMatrix;
 use trueup_numerics::{
-    least_squares::normal,
+    least_squares::normal_equations,
     noise::{self, NoiseModel},
 };
 
 use super::{
     jacobian::{ParameterIndex, jacobian},
+    levenberg_marquardt::FittedModel,
     problem::FitProblem,
-    solve::FittedModel,
-    undetermined::{find_parameter_substitutions, retain_by_mask},
+    undetermined_parameters::{find_parameter_substitutions, retain_by_mask},
 };
 
 /// The covariance of the fitted values, under noise of this memory: of logarithmic ones that of the
@@ -42,7 +42,7 @@ impl ParameterCovariance {
 }
 
 /// Returns the sandwich (XᵀX)⁻¹·XᵀVX·(XᵀX)⁻¹ about `fitted`, V the covariance of `noise`.
-pub(crate) fn parameter_covariance(
+pub(crate) fn estimate_parameter_covariance(
     problem: &FitProblem,
     fitted: &FittedModel,
     noise: NoiseModel,
@@ -67,8 +67,10 @@ pub(crate) fn parameter_covariance(
     let weighted: Vec<Vec<f64>> =
         columns.iter().map(|column| noise::multiply_by_covariance(noise, steps, column)).collect();
     let count = columns.len();
-    let middle = DMatrix::from_fn(count, count, |i, j| normal::dot(&columns[i], &weighted[j]));
-    let inverse = normal::solve(&columns, &fitted.residual, None, 0.0).unscaled_covariance();
+    let middle =
+        DMatrix::from_fn(count, count, |i, j| normal_equations::dot(&columns[i], &weighted[j]));
+    let inverse =
+        normal_equations::solve(&columns, &fitted.residual, None, 0.0).unscaled_covariance();
     let covariance = &inverse * middle * &inverse * variance;
     ParameterCovariance { parameters, covariance, freedom: (effective - count as f64).max(3.0) }
 }

@@ -59,7 +59,7 @@ pub(crate) fn part_derivatives(
 fn perturbed_value(problem: &FitProblem, part: &ModelPart, number: usize) -> (f64, f64) {
     let value = part.values[number];
     let step = derivative_step(problem, part.kind.nonlinear_parameters().get(number), value);
-    (step, if part.kind.is_logarithmic(number) { value * step.exp() } else { value + step })
+    (step, if part.kind.is_log_scaled(number) { value * step.exp() } else { value + step })
 }
 
 /// Returns the same of what is only added: it is its own derivative.

@@ -6,14 +6,14 @@ use std::{
 };
 
 use trueup_machine::effect::NonlinearParameter;
-use trueup_numerics::blocks::SEGMENT_COUNT;
+use trueup_numerics::block_resampling::SEGMENT_COUNT;
 
 use super::{
     CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE,
-    bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
-    cache::{CacheKey, ColumnCache, GroupColumns},
-    growth,
-    memo::MemoTable,
+    column_cache::{CacheKey, ColumnCache, GroupColumns},
+    growth_cache,
+    memo_table::MemoTable,
+    parameter_bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
 };
 use crate::{
     columns::basis_columns,
@@ -145,7 +145,7 @@ impl FitProblem {
     /// temperature.
     fn predict_growth(&self, law: &Model) -> Option<Vec<f64>> {
         let (corrects, multiplies): (Vec<&ModelPart>, Vec<&ModelPart>) =
-            law.parts.iter().partition(|part| part.kind.corrects_constants());
+            law.parts.iter().partition(|part| part.kind.is_constant_correction());
         let factor = |part: &&ModelPart| {
             let is_of_growth =
                 part.kind.is_multiplicative() && part.kind.affects_elongation(&self.data);
@@ -167,7 +167,7 @@ impl FitProblem {
         let growth = laws.growth(&self.data)?;
         let known = self.lock_cache().grown.cached_temperature(&growth);
         let warm = known.unwrap_or_else(|| {
-            let warm = Arc::new(growth::group_temperature(&growth, &self.data, &self.groups));
+            let warm = Arc::new(growth_cache::group_temperature(&growth, &self.data, &self.groups));
             self.lock_cache().grown.insert(&growth, &warm);
             warm
         });
@@ -322,10 +322,10 @@ fn parameter_limits(part: &ModelPart) -> Option<[f64; 2]> {
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, RunFile, file::Quantity};
+    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
 
     use super::*;
-    use crate::candidates::simple_candidates;
+    use crate::candidates::single_input_candidates;
 
     /// Returns the shifts that are admitted for ten minutes at 20 Hz.
     fn shifts_s(clock: &str, terms: &str) -> [f64; 2] {
@@ -401,7 +401,7 @@ mod tests {
             let groups = RowGroups::new(&data, &data.used.clone(), 6);
             let problem = FitProblem::new(data, groups);
             let possible_candidates =
-                simple_candidates(&problem, &Model::default(), &problem.measured);
+                single_input_candidates(&problem, &Model::default(), &problem.measured);
             let part = |name: &str, value: f64| {
                 let candidate =
                     possible_candidates.iter().find(|candidate| candidate.kind.name() == name);

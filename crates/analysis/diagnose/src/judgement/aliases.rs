@@ -4,22 +4,22 @@
 //! as the other; a lag that a record does not show out may be short or long. Other values are tried over
 //! all that the data could show, with everything else of the model fitted next to them.
 
-use trueup_numerics::least_squares::normal::{dot, solve};
+use trueup_numerics::least_squares::normal_equations::{dot, solve};
 
 use crate::{
     data::forward_fill,
     fit::{FittedModel, fit, jacobian},
     judgement::context::JudgementContext,
-    parameters::ParameterEstimates,
+    parameter_estimates::ParameterEstimates,
     periodogram,
-    search::criterion::STRONG_EVIDENCE_BIC_DIFFERENCE,
+    search::model_comparison::STRONG_EVIDENCE_BIC_DIFFERENCE,
     term_kind::ModelPart,
 };
 
 /// Peaks of a spectrum that are tried.
 const MAX_SPECTRUM_PEAKS: usize = 12;
 /// Time constants that a fit begins from.
-const START_TIME_CONSTANT_COUNT: i32 = 5;
+const INITIAL_TIME_CONSTANT_COUNT: i32 = 5;
 /// Most that are reported.
 const MAX_ALIASES: usize = 4;
 
@@ -32,7 +32,7 @@ pub(crate) fn find_aliases(
 ) -> Vec<f64> {
     let mut found = if part.kind.has_spatial_period() {
         find_alias_periods(case, part, without)
-    } else if part.kind.has_time_constant() && part.kind.is_logarithmic(0) {
+    } else if part.kind.has_time_constant() && part.kind.is_log_scaled(0) {
         find_alias_time_constants(case, part, estimates)
     } else {
         Vec::new()
@@ -68,7 +68,7 @@ fn find_alias_periods(
     let own = left(part.values[0]);
     let mut found: Vec<(f64, f64)> = Vec::new();
     for frequency in
-        periodogram::spectral_peak_frequencies(&at, &without.residual, MAX_SPECTRUM_PEAKS)
+        periodogram::find_spectral_peak_frequencies(&at, &without.residual, MAX_SPECTRUM_PEAKS)
     {
         let period_mm = 1.0 / frequency;
         let is_new = found.iter().all(|(there, _)| is_apart(period_mm, *there));
@@ -94,12 +94,12 @@ fn find_alias_time_constants(
         return Vec::new();
     };
     let [low, high] = problem.bounds.time_constant_s;
-    let ratio = (high / low).powf(1.0 / f64::from(START_TIME_CONSTANT_COUNT + 1));
+    let ratio = (high / low).powf(1.0 / f64::from(INITIAL_TIME_CONSTANT_COUNT + 1));
     let interval = estimates.intervals[0];
     // What is not finite says nothing about what is outside it.
     let is_outside = |s: f64| s < interval[0] || s > interval[1];
     let mut found: Vec<f64> = Vec::new();
-    for n in 1..=START_TIME_CONSTANT_COUNT {
+    for n in 1..=INITIAL_TIME_CONSTANT_COUNT {
         let start_s = low * ratio.powi(n);
         if !is_outside(start_s) {
             continue;

@@ -1,14 +1,16 @@
 //! Other causes in a term's place.
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
     fit::{EQUIVALENCE_TOLERANCE, FittedModel, fit},
     judgement::context::JudgementContext,
     model::Model,
     search::{
-        criterion::{MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, degrees_of_freedom},
-        extension::{Extension, Replacements},
+        extension::{ModelExtension, TermReplacements},
+        model_comparison::{
+            MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, degrees_of_freedom,
+        },
     },
     term_kind::TermKind,
 };
@@ -48,10 +50,10 @@ impl FittedAlternative {
 pub(crate) fn find_alternatives(
     case: &JudgementContext<'_>,
     cause: &TermKind,
-    places: Replacements,
+    places: TermReplacements,
 ) -> Vec<FittedAlternative> {
     let mut all: Vec<FittedAlternative> = Vec::new();
-    for Extension { cause: other, fitted, .. } in places.instead {
+    for ModelExtension { cause: other, fitted, .. } in places.instead {
         let is_same = |a: &TermKind, b: &TermKind| a.name() == b.name() && a.column() == b.column();
         if is_same(&other, cause) {
             continue;
@@ -62,7 +64,7 @@ pub(crate) fn find_alternatives(
         let mut foresees_as_well = false;
         if is_near || other.name() == cause.name() {
             let left_out = case.held_out_residuals(&fitted);
-            let paired = case.paired_comparison(&left_out);
+            let paired = case.compare_paired(&left_out);
             foresees_as_well = !paired.is_better();
             // What predicts held-out blocks clearly worse does not explain as well, whatever it fits.
             let is_worse = rms(&left_out) > MAX_EQUIVALENT_RMS_RATIO * case.left_out_um;
@@ -79,7 +81,7 @@ pub(crate) fn find_alternatives(
     }
     all.retain(|rival| {
         !rival.is_indistinguishable_from(cause)
-            || !can_imitate(case, &places.without, &rival.fitted)
+            || !can_reproduce_term(case, &places.without, &rival.fitted)
     });
     all.sort_by(|a, b| a.bic_gap.total_cmp(&b.bic_gap));
     all.truncate(MAX_ALTERNATIVES);
@@ -88,7 +90,7 @@ pub(crate) fn find_alternatives(
 
 /// Returns whether `rival` needs more values and can do, but for a twentieth, what the term does that
 /// `without` lacks.
-pub(super) fn can_imitate(
+pub(super) fn can_reproduce_term(
     case: &JudgementContext<'_>,
     without: &FittedModel,
     rival: &FittedModel,

@@ -10,59 +10,59 @@ pub(crate) enum Caveat {
     /// Its values are not identified.
     NotIdentified,
     /// The 95 % interval of its size holds the size at which it does nothing.
-    MayBeNothing,
+    SizeMayBeZero,
     /// A value of it is where its search ends: the best may lie beyond.
-    AtTheEnd,
+    AtSearchBound,
     /// Its time constant is longer than the record: where it ends has not been seen.
     SlowerThanRecord,
     /// It settles from the start on as fast as this term's law: it may be where that law stood when the record
     /// began.
-    StartOf(TermKind),
+    InitialTransientOf(TermKind),
     /// It may make up for the form of this lagged law.
-    FormOf(TermKind),
+    ModelFormErrorOf(TermKind),
     /// It gains on one block of the record alone, and nothing on the others together.
-    GainsOnce,
+    GainsInOneBlock,
     /// The 95 % interval of what it gains on held-out blocks includes zero.
-    MayGainNothing,
+    GainMayBeZero,
     /// A drift or a jump that does not predict the end of the record.
-    DoesNotGoOn,
+    DoesNotPersist,
     /// A lag that only averages the noise of its thermometer.
-    OnlySmooths,
+    OnlySmoothsNoise,
     /// It gains on held-out blocks only together with this one, or the two take each other's part back.
     OnlyTogether(TermKind),
     /// With one of the rivals of this term in that one's place it is not needed; or the search for this term
     /// ended before its best; or this one is open, and what it lacks may be that.
-    HangsOn(TermKind),
+    DependsOnTerm(TermKind),
     /// This value differs between the halves of the record by more than its intervals: in each.
     HalvesDiffer([f64; 2]),
     /// The same cause with these first values (a period in mm, a time constant in s) does
     /// as well.
     Alias(Vec<f64>),
     /// A curve over these explains clearly more in its place.
-    OtherLaw(CurveInputs),
+    BetterLaw(CurveInputs),
     /// A curve of two values over these does as well.
-    LawAsWell(CurveInputs),
+    EquivalentLaw(CurveInputs),
     /// Curves explain its part as well, and there is something that only they explain.
     NotNeeded,
     /// It is only needed next to a term that stands for another law.
-    BesideOtherLaw,
+    OnlyNextToOtherLaw,
     /// A wave of what the instrument reads, next to this table over the same position: a table of more points would
     /// take it.
-    BesideTable(TermKind),
+    AbsorbedByFinerTable(TermKind),
     /// The position only grew with the time: this cause of the time is the same.
-    OnePass(&'static str),
+    SinglePass(&'static str),
     /// A table that its own repeats do not bear out.
-    NotRepeated,
+    NotRepeatable,
 }
 
 impl Caveat {
     /// Returns whether it is doubted how large the term is, if it is anything.
     pub(crate) fn is_size_caveat(&self) -> bool {
-        matches!(self, Self::MayBeNothing | Self::AtTheEnd | Self::GainsOnce)
+        matches!(self, Self::SizeMayBeZero | Self::AtSearchBound | Self::GainsInOneBlock)
     }
 
     /// Returns whether another record, which begins elsewhere, would show it otherwise.
     pub(crate) fn is_record_specific(&self) -> bool {
-        matches!(self, Self::SlowerThanRecord | Self::StartOf(_))
+        matches!(self, Self::SlowerThanRecord | Self::InitialTransientOf(_))
     }
 }

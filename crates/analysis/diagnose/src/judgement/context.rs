@@ -1,16 +1,16 @@
 //! The common data for judging the terms of an answer.
 
-use trueup_numerics::blocks::{PairedComparison, rms};
+use trueup_numerics::block_resampling::{PairedComparison, rms};
 
 use crate::{
     fit::{FitProblem, FittedModel},
     folds::Folds,
-    gain::TermGain,
     model::Model,
     search::{
         SearchOutcome,
-        criterion::{bic, bic_gap},
+        model_comparison::{bic, bic_gap},
     },
+    term_gain::TermGain,
 };
 
 /// An answer of the search, with what it leaves where that was held out.
@@ -63,8 +63,8 @@ impl<'c> JudgementContext<'c> {
     }
 
     /// Returns what the answer leaves less than `before` on held-out blocks.
-    pub(crate) fn paired_comparison(&self, before: &[f64]) -> PairedComparison {
-        self.folds().paired_comparison(before, &self.left_out)
+    pub(crate) fn compare_paired(&self, before: &[f64]) -> PairedComparison {
+        self.folds().compare_paired(before, &self.left_out)
     }
 
     /// Returns what the answer brings against `without`, which lacks a term and leaves `before` on held-out

@@ -14,15 +14,15 @@
 
 use std::f64::consts::PI;
 
-use trueup_numerics::{blocks::rms, noise};
+use trueup_numerics::{block_resampling::rms, noise};
 
 use crate::{
     fit::{FitProblem, FittedModel, fit},
     judgement::context::JudgementContext,
     machine_laws::MachineLaws,
     search::{
-        criterion::{MAJORITY_SHARE, STRONG_EVIDENCE_BIC_DIFFERENCE},
-        extension::{Extension, centred_effect, fit_single_cause_extensions},
+        extension::{ModelExtension, centred_effect, fit_single_cause_extensions},
+        model_comparison::{MAJORITY_FRACTION, STRONG_EVIDENCE_BIC_DIFFERENCE},
     },
     term_kind::{ModelPart, TermKind},
 };
@@ -36,7 +36,7 @@ const SECOND_TIME_CONSTANT_RATIOS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 const SETTLING_TIME_CONSTANTS: f64 = 2.0;
 
 /// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
-pub(crate) fn confounding_law(
+pub(crate) fn find_confounding_law(
     case: &JudgementContext<'_>,
     part: &ModelPart,
     without: &FittedModel,
@@ -65,7 +65,10 @@ pub(crate) fn confounding_law(
 
 /// Returns the lagged law of which `part`, which settles from the start on, may be where that law stood when the record
 /// began: one of the answer, or one that was not found and predicts as well together with it.
-pub(crate) fn initial_state_law(case: &JudgementContext<'_>, part: &ModelPart) -> Option<TermKind> {
+pub(crate) fn find_initial_state_law(
+    case: &JudgementContext<'_>,
+    part: &ModelPart,
+) -> Option<TermKind> {
     if !part.kind.is_settling_from_start() {
         return None;
     }
@@ -75,9 +78,9 @@ pub(crate) fn initial_state_law(case: &JudgementContext<'_>, part: &ModelPart) -
         _ => None,
     };
     let is_late = |cause: &TermKind| cause.heat_path().is_some_and(|path| path.has_lag);
-    let is_rival = |extension: &Extension| {
+    let is_rival = |extension: &ModelExtension| {
         case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC_DIFFERENCE
-            && !case.paired_comparison(&case.held_out_residuals(&extension.fitted)).is_better()
+            && !case.compare_paired(&case.held_out_residuals(&extension.fitted)).is_better()
     };
     begins(answer).or_else(|| {
         let mut others =
@@ -112,7 +115,7 @@ fn is_explained_by_second_body(
     let column = law.kind.heat_path().map(|path| path.column);
     SECOND_TIME_CONSTANT_RATIOS.iter().any(|share| {
         let late_s = share * law.values[0];
-        let late = MachineLaws::with_thermometer_lag(&problem.data, column, late_s);
+        let late = MachineLaws::table_with_thermometer_lag(&problem.data, column, late_s);
         let late = FitProblem::new(late, problem.groups.clone());
         let there = fit(&late, &without.model, None);
         case.bic_gap(&there) + price < STRONG_EVIDENCE_BIC_DIFFERENCE
@@ -141,7 +144,7 @@ fn is_initial_transient(
         .collect();
     let left = mask.iter().filter(|is_left| **is_left).count() as f64 / mask.len() as f64;
     // Without most of the evidence the question is not fair.
-    if left < MAJORITY_SHARE {
+    if left < MAJORITY_FRACTION {
         return false;
     }
     let squares = |fitted: &FittedModel| {

@@ -52,51 +52,51 @@ mod aliases;
 mod alternatives;
 mod caveat;
 mod context;
+mod held_out_gain;
 mod identifiability;
-mod instrument;
+mod instrument_error;
 mod lagged_law;
-mod substitute_law;
-pub(crate) mod table;
-mod term_gain;
+pub(crate) mod repeat_evidence;
+mod substitute_curves;
 
 use serde_json::{Map, Value};
 use trueup_numerics::parallel::parallel_map;
 
 use crate::search::smoothing::is_only_smoothing;
 use crate::{
-    fit::{FitProblem, FittedModel, fit, largest_half_difference},
-    gain::TermGain,
+    fit::{FitProblem, FittedModel, find_largest_half_difference, fit},
     model::Model,
-    parameters::{ParameterEstimates, estimate_parameters},
+    parameter_estimates::{ParameterEstimates, estimate_parameters},
     search::{
         AddedTerm, SearchOutcome,
-        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         extension::{fit_replacements, without_term},
-        interaction::single_term_replacements,
+        interaction::fit_single_term_replacements,
         lack_of_fit::CurveInputs,
+        model_comparison::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         range_bound,
     },
+    term_gain::TermGain,
     term_kind::{ModelPart, TermKind},
 };
 use aliases::find_aliases;
 use alternatives::{FittedAlternative, find_alternatives, have_equal_predictions};
 pub(crate) use caveat::Caveat;
 use context::JudgementContext;
-use identifiability::is_identified;
-use instrument::insufficient_table;
-use lagged_law::{confounding_law, initial_state_law};
-use substitute_law::SubstituteCurves;
-use table::{InterpolationAccuracy, evaluate_repeats};
-use term_gain::{
-    TermResiduals, find_coupled_terms, gain_includes_zero, gains_at_record_end,
-    gains_without_best_block,
+use held_out_gain::{
+    TermResiduals, find_coupled_terms, has_gain_at_record_end, has_gain_without_best_block,
+    is_zero_gain_within_interval,
 };
+use identifiability::is_identified;
+use instrument_error::find_insufficient_table;
+use lagged_law::{find_confounding_law, find_initial_state_law};
+use repeat_evidence::{InterpolationAccuracy, evaluate_repeats};
+use substitute_curves::SubstituteCurves;
 
 /// A profile interval of 95 %: the quantile of χ² with one degree of freedom.
 const CHI_SQUARED_QUANTILE_95: f64 = 3.84;
 
 /// The judgement of one term.
-pub(crate) struct Judgement {
+pub(crate) struct TermJudgement {
     pub part: ModelPart,
     /// Its values with their intervals, by name.
     pub parameters: Map<String, Value>,
@@ -118,15 +118,15 @@ pub(crate) struct Judgement {
     left_out_without: Vec<f64>,
 }
 
-impl Judgement {
+impl TermJudgement {
     pub(crate) fn cause(&self) -> &TermKind {
         &self.part.kind
     }
 
     /// Returns the inputs of another law that does better, if there is one.
-    pub(crate) fn other_law(&self) -> Option<&CurveInputs> {
+    pub(crate) fn better_law_inputs(&self) -> Option<&CurveInputs> {
         self.doubts.iter().find_map(|doubt| match doubt {
-            Caveat::OtherLaw(inputs) => Some(inputs),
+            Caveat::BetterLaw(inputs) => Some(inputs),
             _ => None,
         })
     }
@@ -138,7 +138,7 @@ impl Judgement {
 
     /// Returns whether it may be where a lagged law stood when the record began.
     pub(crate) fn may_be_initial_state(&self) -> bool {
-        self.doubts.iter().any(|doubt| matches!(doubt, Caveat::StartOf(_)))
+        self.doubts.iter().any(|doubt| matches!(doubt, Caveat::InitialTransientOf(_)))
     }
 
     /// Of the cause against the best rival, 0…1.
@@ -147,30 +147,30 @@ impl Judgement {
         let gap = others.map(|rival| rival.bic_gap).fold(f64::INFINITY, f64::min);
         let confidence = 1.0 / (1.0 + (-0.5 * gap.min(40.0)).exp());
         let is_of_law =
-            |doubt: &Caveat| matches!(doubt, Caveat::OtherLaw(_) | Caveat::BesideOtherLaw);
+            |doubt: &Caveat| matches!(doubt, Caveat::BetterLaw(_) | Caveat::OnlyNextToOtherLaw);
         if self.doubts.iter().any(is_of_law) { confidence.min(0.5) } else { confidence }
     }
 }
 
 /// Judges each term of an answer.
-pub(crate) fn judge_terms(problem: &FitProblem, found: &SearchOutcome) -> Vec<Judgement> {
+pub(crate) fn judge_terms(problem: &FitProblem, found: &SearchOutcome) -> Vec<TermJudgement> {
     let case = JudgementContext::new(problem, found);
     let judged = parallel_map(&found.added, problem.is_parallel_worthwhile(), |added| {
         judge_term(&case, added)
     });
-    let mut judged: Vec<Judgement> = judged.into_iter().flatten().collect();
-    withdraw_coupled_terms(&case, &mut judged);
-    withdraw_alternative_dependent_terms(&case, &mut judged);
-    withdraw_constants_near_bounds(&mut judged);
-    withdraw_terms_of_substitute_laws(&case, &mut judged);
-    withdraw_parts_of_open_terms(&mut judged);
+    let mut judged: Vec<TermJudgement> = judged.into_iter().flatten().collect();
+    withdraw_coupled_term_claims(&case, &mut judged);
+    withdraw_alternative_dependent_claims(&case, &mut judged);
+    withdraw_constant_claims_near_bounds(&mut judged);
+    withdraw_substitute_law_dependent_claims(&case, &mut judged);
+    withdraw_open_term_part_claims(&mut judged);
     drop_record_dependent_terms(&mut judged);
     judged
 }
 
 /// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what
 /// takes two inputs together.
-fn equivalent_single_law(case: &JudgementContext<'_>, cause: &TermKind) -> Option<TermKind> {
+fn find_equivalent_single_term(case: &JudgementContext<'_>, cause: &TermKind) -> Option<TermKind> {
     if !cause.is_interaction() {
         return None;
     }
@@ -179,7 +179,7 @@ fn equivalent_single_law(case: &JudgementContext<'_>, cause: &TermKind) -> Optio
     if let Some(other) = others.find(|other| *other != cause && other.column() == cause.column()) {
         return Some(other.clone());
     }
-    let alone = single_term_replacements(case.problem, &case.found.fitted, [cause]);
+    let alone = fit_single_term_replacements(case.problem, &case.found.fitted, [cause]);
     let other =
         alone.into_iter().filter(|extension| !case.found.fitted.model.contains(&extension.cause));
     let near = other.filter(|extension| {
@@ -190,7 +190,7 @@ fn equivalent_single_law(case: &JudgementContext<'_>, cause: &TermKind) -> Optio
 }
 
 /// None where the term is no part of the answer any more.
-fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgement> {
+fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<TermJudgement> {
     let JudgementContext { problem, found, .. } = *case;
     let cause = &added.cause;
     let part = found.fitted.model.parts.iter().find(|part| part.kind == *cause)?;
@@ -205,33 +205,34 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgemen
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Caveat::AlternativeCause(rival.cause.clone())));
     if doubts.is_empty() {
-        doubts.extend(equivalent_single_law(case, cause).map(Caveat::AlternativeCause));
+        doubts.extend(find_equivalent_single_term(case, cause).map(Caveat::AlternativeCause));
     }
-    doubts.extend(insufficient_table(case, part).map(Caveat::BesideTable));
+    doubts.extend(find_insufficient_table(case, part).map(Caveat::AbsorbedByFinerTable));
     let same = part.kind.cause().filter(|_| problem.data.setting.is_one_pass);
-    doubts.extend(same.and_then(|cause| cause.confounded_in_one_pass()).map(Caveat::OnePass));
+    doubts.extend(same.and_then(|cause| cause.confounded_in_one_pass()).map(Caveat::SinglePass));
     let repeat_evidence = evaluate_repeats(case, cause);
     match &repeat_evidence {
         // Its repeats are the judge of a table, not what it leaves.
         Some(repeat_evidence) if repeat_evidence.is_confirmed => {}
-        Some(_) => doubts.push(Caveat::NotRepeated),
+        Some(_) => doubts.push(Caveat::NotRepeatable),
         None => {
             doubts.extend(value_caveats(case, part, &without, &estimates, &left_out_without));
-            doubts.extend(gain_includes_zero(part, &gain).then_some(Caveat::MayGainNothing));
+            doubts
+                .extend(is_zero_gain_within_interval(part, &gain).then_some(Caveat::GainMayBeZero));
             let is_known = estimates.is_determined;
-            doubts.extend(residual_caveats(case, cause, &without, is_known));
+            doubts.extend(find_residual_caveats(case, cause, &without, is_known));
         }
     }
     // What may be nothing, or another wave between the places, is corrected only if it is predicted.
-    let is_predicted = case.paired_comparison(&left_out_without).is_better();
+    let is_predicted = case.compare_paired(&left_out_without).is_better();
     let is_alias_of_wave =
         cause.has_spatial_period() && doubts.iter().any(|doubt| matches!(doubt, Caveat::Alias(_)));
     let is_kept = have_equal_predictions(case, &open)
         && !is_alias_of_wave
-        && !doubts.contains(&Caveat::NotRepeated)
+        && !doubts.contains(&Caveat::NotRepeatable)
         && (is_predicted || !doubts.iter().any(Caveat::is_size_caveat))
         && (case.folds().has_record_folds() || !doubts.iter().any(Caveat::is_record_specific));
-    Some(Judgement {
+    Some(TermJudgement {
         part: part.clone(),
         parameters: estimates.named,
         gain,
@@ -258,26 +259,26 @@ fn value_caveats(
 ) -> Vec<Caveat> {
     let mut doubts = Vec::new();
     if estimates.reaches_nothing {
-        doubts.push(Caveat::MayBeNothing);
+        doubts.push(Caveat::SizeMayBeZero);
     }
     if case.problem.is_at_bound(part) {
-        doubts.push(Caveat::AtTheEnd);
+        doubts.push(Caveat::AtSearchBound);
     }
     if part.kind.has_time_constant() && part.values[0] > case.problem.bounds.longest_s {
         doubts.push(Caveat::SlowerThanRecord);
     }
-    doubts.extend(initial_state_law(case, part).map(Caveat::StartOf));
-    if !gains_without_best_block(case, &part.kind, left_out_without) {
-        doubts.push(Caveat::GainsOnce);
+    doubts.extend(find_initial_state_law(case, part).map(Caveat::InitialTransientOf));
+    if !has_gain_without_best_block(case, &part.kind, left_out_without) {
+        doubts.push(Caveat::GainsInOneBlock);
     }
-    if !gains_at_record_end(case, &part.kind, left_out_without) {
-        doubts.push(Caveat::DoesNotGoOn);
+    if !has_gain_at_record_end(case, &part.kind, left_out_without) {
+        doubts.push(Caveat::DoesNotPersist);
     }
     if is_only_smoothing(case.problem, case.folds(), part, &without.model, &case.left_out) {
-        doubts.push(Caveat::OnlySmooths);
+        doubts.push(Caveat::OnlySmoothsNoise);
     }
-    doubts.extend(differing_half_estimates(case, part).map(Caveat::HalvesDiffer));
-    doubts.extend(confounding_law(case, part, without).map(Caveat::FormOf));
+    doubts.extend(find_differing_half_estimates(case, part).map(Caveat::HalvesDiffer));
+    doubts.extend(find_confounding_law(case, part, without).map(Caveat::ModelFormErrorOf));
     let aliases = find_aliases(case, part, without, estimates);
     if !aliases.is_empty() {
         doubts.push(Caveat::Alias(aliases));
@@ -286,7 +287,7 @@ fn value_caveats(
 }
 
 /// Why the name of a term is not claimed, by what the answer leaves with it, and `without` it.
-fn residual_caveats(
+fn find_residual_caveats(
     case: &JudgementContext<'_>,
     cause: &TermKind,
     without: &FittedModel,
@@ -297,7 +298,7 @@ fn residual_caveats(
     if !is_identified(case, cause, is_known) {
         doubts.push(Caveat::NotIdentified);
     }
-    doubts.extend(curves.substitute_curve_caveat(case, cause, without));
+    doubts.extend(curves.find_substitute_curve_caveat(case, cause, without));
     // Where a law without a name is left, it may be what the term stands for.
     if !case.found.lack_of_fit.is_empty() && !curves.is_needed_with_curves(case, without) {
         doubts.push(Caveat::NotNeeded);
@@ -306,7 +307,10 @@ fn residual_caveats(
 }
 
 /// Returns the value of a part that differs most between the halves of the record, in each.
-fn differing_half_estimates(case: &JudgementContext<'_>, part: &ModelPart) -> Option<[f64; 2]> {
+fn find_differing_half_estimates(
+    case: &JudgementContext<'_>,
+    part: &ModelPart,
+) -> Option<[f64; 2]> {
     let kind = &part.kind;
     if kind.list_length().is_some() || kind.has_instant() || kind.is_instrument_error() {
         return None;
@@ -314,12 +318,12 @@ fn differing_half_estimates(case: &JudgementContext<'_>, part: &ModelPart) -> Op
     let SearchOutcome { fitted, noise, folds, .. } = case.found;
     let index = fitted.model.parts.iter().position(|there| there == part)?;
     let is_second = folds.second_half_mask();
-    largest_half_difference(case.problem, fitted, index, *noise, &is_second)
+    find_largest_half_difference(case.problem, fitted, index, *noise, &is_second)
 }
 
 /// Takes back the claims of terms that are only certain together; the two are kept if together they
 /// predict better what was held out.
-fn withdraw_coupled_terms(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
+fn withdraw_coupled_term_claims(case: &JudgementContext<'_>, judged: &mut [TermJudgement]) {
     let terms: Vec<TermResiduals<'_>> = judged
         .iter()
         .map(|judgement| TermResiduals {
@@ -339,20 +343,20 @@ fn withdraw_coupled_terms(case: &JudgementContext<'_>, judged: &mut [Judgement])
 
 /// Takes back the claims of the machine's own constants next to one whose search ended before its best: the law
 /// that it belongs to is not the machine's, and what else is read into that law is not either.
-fn withdraw_constants_near_bounds(judged: &mut [Judgement]) {
-    let is_own = |judgement: &Judgement| judgement.cause().tier() == 0;
+fn withdraw_constant_claims_near_bounds(judged: &mut [TermJudgement]) {
+    let is_own = |judgement: &TermJudgement| judgement.cause().tier() == 0;
     let open = judged
         .iter()
-        .find(|judgement| is_own(judgement) && judgement.doubts.contains(&Caveat::AtTheEnd));
+        .find(|judgement| is_own(judgement) && judgement.doubts.contains(&Caveat::AtSearchBound));
     let Some(open) = open.map(|judgement| judgement.cause().clone()) else { return };
-    let claimed = |judgement: &&mut Judgement| is_own(judgement) && judgement.doubts.is_empty();
+    let claimed = |judgement: &&mut TermJudgement| is_own(judgement) && judgement.doubts.is_empty();
     for it in judged.iter_mut().filter(claimed) {
-        it.doubts.push(Caveat::HangsOn(open.clone()));
+        it.doubts.push(Caveat::DependsOnTerm(open.clone()));
     }
 }
 
 /// Takes back the claims of what may be a part of an open term ([`TermKind::may_be_part_of`]).
-fn withdraw_parts_of_open_terms(judged: &mut [Judgement]) {
+fn withdraw_open_term_part_claims(judged: &mut [TermJudgement]) {
     let open = judged
         .iter()
         .filter(|judgement| !judgement.doubts.is_empty())
@@ -360,17 +364,17 @@ fn withdraw_parts_of_open_terms(judged: &mut [Judgement]) {
     let open: Vec<TermKind> = open.collect();
     for it in judged.iter_mut().filter(|judgement| judgement.doubts.is_empty()) {
         let other = open.iter().find(|open| it.cause().may_be_part_of(open)).cloned();
-        it.doubts.extend(other.map(Caveat::HangsOn));
+        it.doubts.extend(other.map(Caveat::DependsOnTerm));
     }
 }
 
 /// Next to what is of this record alone, and is omitted, the others are right as they are; but of one whose
 /// interval includes zero the size is not known there either. The two may be large and take each other back, so
 /// that what is left of them on another day is neither: it is not handed out alone.
-fn drop_record_dependent_terms(judged: &mut [Judgement]) {
+fn drop_record_dependent_terms(judged: &mut [TermJudgement]) {
     if judged.iter().any(|judgement| !judgement.is_kept && judgement.is_record_specific()) {
-        let is_unsure = |judgement: &&mut Judgement| {
-            judgement.cause().is_compensated() && judgement.doubts.contains(&Caveat::MayBeNothing)
+        let is_unsure = |judgement: &&mut TermJudgement| {
+            judgement.cause().is_compensable() && judgement.doubts.contains(&Caveat::SizeMayBeZero)
         };
         judged.iter_mut().filter(is_unsure).for_each(|judgement| judgement.is_kept = false);
     }
@@ -378,7 +382,10 @@ fn drop_record_dependent_terms(judged: &mut [Judgement]) {
 
 /// Takes back the claims that hold only if an open question is answered one way: each must still be needed
 /// with each of the rivals in the place of a term that cannot be distinguished from them.
-fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
+fn withdraw_alternative_dependent_claims(
+    case: &JudgementContext<'_>,
+    judged: &mut [TermJudgement],
+) {
     let problem = case.problem;
     let is_needed = |cause: &TermKind, rival: &FittedAlternative| {
         let model = without_term(problem, &rival.fitted.model, cause);
@@ -400,19 +407,22 @@ fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mu
         }
     }
     for (index, cause) in doubts {
-        judged[index].doubts.push(Caveat::HangsOn(cause));
+        judged[index].doubts.push(Caveat::DependsOnTerm(cause));
     }
 }
 
 /// Takes back the claims that only hold next to a term which stands for another law: what makes up for
 /// the difference between the two is no cause either. Each must still be needed with whatever law there
 /// is in the place of those terms.
-fn withdraw_terms_of_substitute_laws(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
+fn withdraw_substitute_law_dependent_claims(
+    case: &JudgementContext<'_>,
+    judged: &mut [TermJudgement],
+) {
     let mut sound = case.found.fitted.model.clone();
     sound.parts.retain(|part| {
-        judged
-            .iter()
-            .all(|judgement| judgement.other_law().is_none() || *judgement.cause() != part.kind)
+        judged.iter().all(|judgement| {
+            judgement.better_law_inputs().is_none() || *judgement.cause() != part.kind
+        })
     });
     if sound.parts.len() == case.found.fitted.model.parts.len() {
         return;
@@ -423,7 +433,7 @@ fn withdraw_terms_of_substitute_laws(case: &JudgementContext<'_>, judged: &mut [
         let mut without = sound.clone();
         without.parts.retain(|part| part.kind != *it.cause());
         if bic(&without) <= bic(&sound) + STRONG_EVIDENCE_BIC_DIFFERENCE {
-            it.doubts.push(Caveat::BesideOtherLaw);
+            it.doubts.push(Caveat::OnlyNextToOtherLaw);
         }
     }
 }
@@ -432,7 +442,7 @@ fn withdraw_terms_of_substitute_laws(case: &JudgementContext<'_>, judged: &mut [
 mod tests {
     use super::*;
 
-    fn judgement(doubts: Vec<Caveat>, is_kept: bool) -> Judgement {
+    fn judgement(doubts: Vec<Caveat>, is_kept: bool) -> TermJudgement {
         let gain = TermGain {
             rms_before_um: 2.0,
             rms_after_um: 1.0,
@@ -441,7 +451,7 @@ mod tests {
             reduction: 0.5,
             ci95: [0.4, 0.6],
         };
-        Judgement {
+        TermJudgement {
             part: ModelPart { kind: TermKind::heat_of("temp_a_c", true), values: vec![600.0, 1.0] },
             parameters: Map::new(),
             gain,
@@ -459,7 +469,7 @@ mod tests {
     fn what_may_be_nothing_is_not_handed_out_without_what_held_it_up() {
         let kept = |slow_is_kept: bool| {
             let slow = judgement(vec![Caveat::SlowerThanRecord], slow_is_kept);
-            let unsure = judgement(vec![Caveat::MayBeNothing, Caveat::NotIdentified], true);
+            let unsure = judgement(vec![Caveat::SizeMayBeZero, Caveat::NotIdentified], true);
             let mut all = vec![slow, unsure, judgement(Vec::new(), true)];
             drop_record_dependent_terms(&mut all);
             all.iter().map(|judgement| judgement.is_kept).collect::<Vec<_>>()

@@ -11,7 +11,7 @@ use std::{fmt::Write as _, path::Path};
 use serde::Serialize;
 use trueup_machine::{
     Machine, RunFile,
-    file::{LinearAxis, is_temperature_column},
+    machine_file::{LinearAxis, is_temperature_column},
 };
 use trueup_numerics::robust::median;
 
@@ -19,17 +19,17 @@ use super::{ReadingMethod, spindle_forecast::is_input_column};
 use crate::data::DataTable;
 
 /// How many targets; the ends are among them: from these alone to more than ISO 230-2 requires of a metre.
-const TARGET_COUNTS: [usize; 5] = [2, 3, 5, 9, 17];
+const CANDIDATE_TARGET_COUNTS: [usize; 5] = [2, 3, 5, 9, 17];
 /// How often there and back.
-const REPEAT_COUNTS: [u32; 5] = [1, 2, 3, 5, 7];
+const CANDIDATE_REPEAT_COUNTS: [u32; 5] = [1, 2, 3, 5, 7];
 /// For how long the axis is run warm, in minutes.
-const HEATING_TIMES_MIN: [f64; 7] = [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0];
+const WARM_UP_DURATIONS_MIN: [f64; 7] = [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0];
 /// How fast: as `trueup program axis-heat` does.
 const WARM_UP_FEED_MM_PER_MIN: f64 = 10_000.0;
 /// The feed of a measurement where the runs do not say it: as `trueup program`.
 const DEFAULT_FEED_MM_PER_MIN: f64 = 1000.0;
 /// This much of the way lies beyond the targets, and at most this many mm: there play is taken up.
-const OVERTRAVEL_SHARE: f64 = 0.05;
+const OVERTRAVEL_FRACTION: f64 = 0.05;
 const MAX_OVERTRAVEL_MM: f64 = 50.0;
 /// The warming of an axis, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
 const DEFAULT_TEMPERATURE_RISE_K: f64 = 5.0;
@@ -37,7 +37,7 @@ const DEFAULT_WARMING_TIME_CONSTANT_S: f64 = 1200.0;
 /// A thermometer that has changed by less does not show it, in K.
 const MIN_TEMPERATURE_CHANGE_K: f64 = 1.0;
 /// The targets are moved on by up to this share of their distance: no two stand on one phase of the screw.
-const MAX_TARGET_SHIFT_SHARE: f64 = 0.25;
+const MAX_TARGET_SHIFT_RATIO: f64 = 0.25;
 /// The golden ratio less 1.
 const INVERSE_GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
@@ -217,21 +217,22 @@ impl AxisForecast {
     /// Returns all runs that are thought of.
     pub(super) fn candidate_runs(&self) -> Vec<AxisRun> {
         let [low, high] = self.range_mm;
-        let over_mm = (OVERTRAVEL_SHARE * (high - low)).min(MAX_OVERTRAVEL_MM);
+        let over_mm = (OVERTRAVEL_FRACTION * (high - low)).min(MAX_OVERTRAVEL_MM);
         let mut feeds = vec![self.feeds_mm_per_min.clone()];
         feeds.extend((self.feeds_mm_per_min.len() > 1).then(|| vec![self.feeds_mm_per_min[1]]));
         let cold = [(0.0, true, false)];
-        let heated =
-            HEATING_TIMES_MIN.into_iter().flat_map(|min| [(min, false, true), (min, true, true)]);
+        let heated = WARM_UP_DURATIONS_MIN
+            .into_iter()
+            .flat_map(|min| [(min, false, true), (min, true, true)]);
         let heats: Vec<(f64, bool, bool)> = if self.warms.is_empty() {
             cold.into()
         } else {
             cold.into_iter().chain(heated).collect()
         };
         let mut all = Vec::new();
-        for targets in TARGET_COUNTS {
+        for targets in CANDIDATE_TARGET_COUNTS {
             let targets_mm = uneven_targets_mm(low + over_mm, high - over_mm, targets);
-            for times in REPEAT_COUNTS {
+            for times in CANDIDATE_REPEAT_COUNTS {
                 for feeds in &feeds {
                     for (heat_min, cold, warm) in &heats {
                         all.push(AxisRun {
@@ -327,7 +328,7 @@ fn uneven_targets_mm(low: f64, high: f64, count: usize) -> Vec<f64> {
         if is_end {
             0.0
         } else {
-            MAX_TARGET_SHIFT_SHARE * (n as f64 * INVERSE_GOLDEN_RATIO).fract()
+            MAX_TARGET_SHIFT_RATIO * (n as f64 * INVERSE_GOLDEN_RATIO).fract()
         }
     };
     let at = |n: usize| low + step * (n as f64 + share(n));
@@ -336,7 +337,7 @@ fn uneven_targets_mm(low: f64, high: f64, count: usize) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use trueup_machine::{MachineFile, file::Quantity};
+    use trueup_machine::{MachineFile, machine_file::Quantity};
 
     use super::*;
 

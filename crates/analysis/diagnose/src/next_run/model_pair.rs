@@ -15,17 +15,17 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use trueup_numerics::{
-    least_squares::normal::dot,
+    least_squares::normal_equations::dot,
     noise::{NoiseModel, Whitener},
 };
 
 use super::ExpectedSeparation;
 use crate::{
     data::{DataTable, RowGroups},
-    fit::{FitProblem, FittedModel, ParameterCovariance, jacobian, parameter_covariance},
-    judgement::Judgement,
+    fit::{FitProblem, FittedModel, ParameterCovariance, estimate_parameter_covariance, jacobian},
+    judgement::TermJudgement,
     model::Model,
-    parameters::mean_row_interval_s,
+    parameter_estimates::mean_row_interval_s,
     search::SearchOutcome,
     term_kind::TermKind,
 };
@@ -64,7 +64,7 @@ pub(crate) struct Separation {
 pub(crate) fn find_indistinguishable_pairs(
     problem: &FitProblem,
     found: &SearchOutcome,
-    judged: &[Judgement],
+    judged: &[TermJudgement],
 ) -> Vec<ModelPair> {
     let open =
         judged.iter().filter(|judgement| !judgement.doubts.is_empty()).filter_map(|judgement| {
@@ -96,7 +96,7 @@ impl ModelPair {
         let rows = own.residual.len() as f64;
         let variance = own.sum / (rows - own.degrees as f64).max(1.0);
         let side = |fitted: FittedModel| Hypothesis {
-            spread: parameter_covariance(problem, &fitted, found.noise),
+            spread: estimate_parameter_covariance(problem, &fitted, found.noise),
             model: fitted.model,
         };
         Self {
@@ -200,7 +200,7 @@ struct WhitenedRun {
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, RunFile, effect::BoardTerm, file::Quantity};
+    use trueup_machine::{MachineFile, RunFile, effect::BoardTerm, machine_file::Quantity};
 
     use super::*;
     use crate::{fit::fit, term_kind::ModelPart};
@@ -241,7 +241,7 @@ mod tests {
             let fitted = fit(&problem, &model, None);
             assert!((fitted.sum - 2.0).abs() < 1e-9, "{}", fitted.sum);
             Hypothesis {
-                spread: parameter_covariance(&problem, &fitted, NoiseModel::WHITE),
+                spread: estimate_parameter_covariance(&problem, &fitted, NoiseModel::WHITE),
                 model: fitted.model,
             }
         };

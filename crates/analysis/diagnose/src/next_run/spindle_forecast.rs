@@ -10,7 +10,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_machine::{RunFile, file::is_temperature_column};
+use trueup_machine::{RunFile, machine_file::is_temperature_column};
 use trueup_numerics::{least_squares::GivensQr, repeats::DETERMINACY_THRESHOLD, robust::median};
 
 use super::{ReadingMethod, SpindleSegment};
@@ -56,7 +56,7 @@ struct InputRow {
 }
 
 /// Columns that are measured, counted or written by a bridge: no inputs.
-const NON_INPUT_PREFIXES: [&str; 10] = [
+const NON_INPUT_COLUMN_PREFIXES: [&str; 10] = [
     "measured_",
     "predicted_",
     "bridge_",
@@ -71,7 +71,7 @@ const NON_INPUT_PREFIXES: [&str; 10] = [
 
 /// Returns whether a column is what a model goes by.
 pub(super) fn is_input_column(name: &str) -> bool {
-    !NON_INPUT_PREFIXES.iter().any(|start| name.starts_with(start))
+    !NON_INPUT_COLUMN_PREFIXES.iter().any(|start| name.starts_with(start))
 }
 
 impl SpindleForecast {

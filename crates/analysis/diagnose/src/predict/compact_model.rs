@@ -7,21 +7,21 @@
 use nalgebra::{DMatrix, DVector};
 use trueup_numerics::parallel::parallel_map;
 
-use crate::{model::Model, predict::dictionary::Dictionary};
+use crate::{model::Model, predict::dictionary::TermDictionary};
 
 /// Most terms: what the board has room for next to those of the file.
 pub(super) const MAX_COMPACT_MODEL_TERMS: usize = 8;
 /// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
-const SUBSAMPLE_RIDGE: f64 = 0.05;
+const SUBSAMPLE_RIDGE_PENALTY: f64 = 0.05;
 /// The ridge of a single fit, against columns that are nearly alike.
-const SINGLE_FIT_RIDGE: f64 = 1e-3;
+const SINGLE_FIT_RIDGE_PENALTY: f64 = 1e-3;
 /// Held more, a fit is none.
-const MAX_RIDGE: f64 = 10.0;
+const MAX_RIDGE_PENALTY: f64 = 10.0;
 /// A term does at most this many times what was measured: of two terms of which each explains all and the other takes it
 /// back, each is larger.
 pub(crate) const MAX_EFFECT_RATIO: f64 = 2.0;
 /// An exchange has to gain this share.
-const MIN_EXCHANGE_GAIN_SHARE: f64 = 1e-3;
+const MIN_RELATIVE_EXCHANGE_GAIN: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.
 const MAX_CANDIDATES: usize = 60;
 /// The weight of the mean against what was measured.
@@ -45,7 +45,7 @@ pub(super) struct Subsample {
 
 impl CompactModel {
     /// Returns it as a model.
-    pub(super) fn to_model(&self, dictionary: &Dictionary, base: Model) -> Model {
+    pub(super) fn to_model(&self, dictionary: &TermDictionary, base: Model) -> Model {
         let mut model = Model { parts: Vec::new(), ..base };
         let mut next = self.amplitudes.iter();
         for &entry in &self.terms {
@@ -60,7 +60,7 @@ impl CompactModel {
     }
 
     /// Returns what it adds to a group.
-    pub(super) fn predict_group(&self, dictionary: &Dictionary, row: usize) -> f64 {
+    pub(super) fn predict_group(&self, dictionary: &TermDictionary, row: usize) -> f64 {
         let columns = self.terms.iter().flat_map(|&term| dictionary.entries[term].columns.clone());
         let sum: f64 = columns
             .zip(&self.amplitudes)
@@ -70,24 +70,29 @@ impl CompactModel {
     }
 
     /// Returns what it leaves of these groups.
-    pub(super) fn residuals(&self, dictionary: &Dictionary, y: &[f64], rows: &[usize]) -> Vec<f64> {
+    pub(super) fn residuals(
+        &self,
+        dictionary: &TermDictionary,
+        y: &[f64],
+        rows: &[usize],
+    ) -> Vec<f64> {
         rows.iter().map(|&row| y[row] - self.predict_group(dictionary, row)).collect()
     }
 }
 
 /// Returns the fit of `terms` to these groups.
 pub(super) fn fit_terms(
-    dictionary: &Dictionary,
+    dictionary: &TermDictionary,
     y: &[f64],
     rows: &[usize],
     terms: &[usize],
 ) -> CompactModel {
     let target: Vec<f64> = rows.iter().map(|&row| y[row]).collect();
-    fit_ridge(dictionary, &target, rows, terms, SINGLE_FIT_RIDGE)
+    fit_ridge(dictionary, &target, rows, terms, SINGLE_FIT_RIDGE_PENALTY)
 }
 
 fn fit_ridge(
-    dictionary: &Dictionary,
+    dictionary: &TermDictionary,
     target: &[f64],
     rows: &[usize],
     terms: &[usize],
@@ -109,7 +114,7 @@ fn fit_ridge(
         })
     };
     let ridges = std::iter::successors(Some(ridge), |ridge| Some(10.0 * ridge));
-    let ridges = ridges.take_while(|ridge| *ridge <= MAX_RIDGE);
+    let ridges = ridges.take_while(|ridge| *ridge <= MAX_RIDGE_PENALTY);
     let mut solutions = ridges.map(|ridge| moments.solve(&all, ridge));
     let Some(amplitudes) = solutions.find(is_possible) else { return CompactModel::default() };
     let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
@@ -139,7 +144,7 @@ struct SecondMoments {
 
 impl SecondMoments {
     fn new(
-        dictionary: &Dictionary,
+        dictionary: &TermDictionary,
         target: &[f64],
         rows: &[usize],
         columns: &[usize],
@@ -207,7 +212,7 @@ struct SubsampleMoments {
 
 /// Sets of candidates and what they leave.
 struct SubsetSearch<'s> {
-    dictionary: &'s Dictionary,
+    dictionary: &'s TermDictionary,
     candidates: Vec<usize>,
     /// Columns of each candidate among those of all candidates.
     columns: Vec<Vec<usize>>,
@@ -216,17 +221,17 @@ struct SubsetSearch<'s> {
 
 impl SubsetSearch<'_> {
     /// Returns what a set leaves of the outside of each subsample.
-    fn held_out_squares(&self, set: &[usize]) -> Vec<f64> {
+    fn held_out_squares_by_subsample(&self, set: &[usize]) -> Vec<f64> {
         let columns: Vec<usize> = set.iter().flat_map(|&n| self.columns[n].clone()).collect();
         let of = |judge: &SubsampleMoments| {
-            let amplitudes = judge.inside.solve(&columns, SUBSAMPLE_RIDGE);
+            let amplitudes = judge.inside.solve(&columns, SUBSAMPLE_RIDGE_PENALTY);
             judge.outside.residual_sum_of_squares(&columns, &amplitudes)
         };
         self.judges.iter().map(of).collect()
     }
 
-    fn total_held_out_squares(&self, set: &[usize]) -> f64 {
-        self.held_out_squares(set).iter().sum()
+    fn held_out_sum_of_squares(&self, set: &[usize]) -> f64 {
+        self.held_out_squares_by_subsample(set).iter().sum()
     }
 
     /// Returns the candidates that may join a set: one setting of a kind.
@@ -240,7 +245,7 @@ impl SubsetSearch<'_> {
     fn best_addition(&self, set: &[usize], is_large: bool) -> Option<(Vec<usize>, f64)> {
         let with = |n: &usize| {
             let joined = [set, &[*n]].concat();
-            let sum = self.total_held_out_squares(&joined);
+            let sum = self.held_out_sum_of_squares(&joined);
             (joined, sum)
         };
         let all = parallel_map(&self.addable_candidates(set), is_large, with);
@@ -273,7 +278,7 @@ impl SubsetSearch<'_> {
             let mut rest = set.clone();
             rest.remove(number);
             if let Some((other, less)) = self.best_addition(&rest, is_large)
-                && less < (1.0 - MIN_EXCHANGE_GAIN_SHARE) * sum
+                && less < (1.0 - MIN_RELATIVE_EXCHANGE_GAIN) * sum
             {
                 (set, sum) = (other, less);
             }
@@ -282,8 +287,9 @@ impl SubsetSearch<'_> {
     }
 
     /// Returns the smallest set of a path within one standard error of the best.
-    fn smallest_subset(&self, path: &[Vec<usize>]) -> Vec<usize> {
-        let left: Vec<Vec<f64>> = path.iter().map(|set| self.held_out_squares(set)).collect();
+    fn smallest_subset_within_one_se(&self, path: &[Vec<usize>]) -> Vec<usize> {
+        let left: Vec<Vec<f64>> =
+            path.iter().map(|set| self.held_out_squares_by_subsample(set)).collect();
         let Some(best) = left.last() else { return Vec::new() };
         let is_as_good = |left: &Vec<f64>| {
             let count = left.len() as f64;
@@ -291,7 +297,7 @@ impl SubsetSearch<'_> {
             let mean = apart.iter().sum::<f64>() / count;
             let variance = apart.iter().map(|a| (a - mean).powi(2)).sum::<f64>() / (count - 1.0);
             // Every block is outside several subsamples: those that share none are as many as fit into a whole.
-            let independent = count.min(1.0 / (1.0 - super::SUBSAMPLE_BLOCK_SHARE));
+            let independent = count.min(1.0 / (1.0 - super::SUBSAMPLE_BLOCK_FRACTION));
             mean <= (variance / independent).sqrt()
         };
         let number = left.iter().position(is_as_good).unwrap_or(path.len() - 1);
@@ -301,7 +307,7 @@ impl SubsetSearch<'_> {
 
 /// Returns the compact set of what the subsamples found, fitted to `rows`.
 pub(super) fn select_compact_model(
-    dictionary: &Dictionary,
+    dictionary: &TermDictionary,
     y: &[f64],
     rows: &[usize],
     samples: &[Subsample],
@@ -342,7 +348,7 @@ pub(super) fn select_compact_model(
         SubsampleMoments { inside, outside }
     });
     let sets = SubsetSearch { dictionary, candidates, columns, judges };
-    let set = sets.smallest_subset(&sets.best_subsets(is_large));
+    let set = sets.smallest_subset_within_one_se(&sets.best_subsets(is_large));
     let terms: Vec<usize> = set.iter().map(|&n| sets.candidates[n]).collect();
     let target: Vec<f64> = rows
         .iter()
@@ -355,7 +361,7 @@ pub(super) fn select_compact_model(
             (1.0 - ENSEMBLE_MEAN_WEIGHT) * y[row] + ENSEMBLE_MEAN_WEIGHT * mean
         })
         .collect();
-    fit_ridge(dictionary, &target, rows, &terms, SINGLE_FIT_RIDGE)
+    fit_ridge(dictionary, &target, rows, &terms, SINGLE_FIT_RIDGE_PENALTY)
 }
 
 /// Returns the terms of the subsamples, those that come back most often first.

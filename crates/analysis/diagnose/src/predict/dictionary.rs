@@ -2,11 +2,12 @@
 //! of what enters nonlinearly.
 
 use crate::{
-    candidates::simple_candidates, fit::FitProblem, search::initial_model, term_kind::ModelPart,
+    candidates::single_input_candidates, fit::FitProblem, search::initial_model,
+    term_kind::ModelPart,
 };
 
 /// A table or curve of more values is judged by its repeats, not by blocks.
-const MAX_AMPLITUDES: usize = 16;
+const MAX_TERM_AMPLITUDES: usize = 16;
 
 /// A term at one setting; amplitudes 0.
 pub(super) struct DictionaryEntry {
@@ -20,14 +21,14 @@ pub(super) struct DictionaryEntry {
 }
 
 /// All terms, and what each adds to each group at an amplitude of 1.
-pub(super) struct Dictionary {
+pub(super) struct TermDictionary {
     pub entries: Vec<DictionaryEntry>,
     pub columns: Vec<Vec<f64>>,
     /// Whether the measurement's zero is arbitrary.
     has_zero: bool,
 }
 
-impl Dictionary {
+impl TermDictionary {
     /// Returns the terms that the machine and the data allow.
     pub(super) fn new(problem: &FitProblem) -> Self {
         let base = initial_model(&problem.data);
@@ -35,15 +36,15 @@ impl Dictionary {
         let groups = residual.len() as f64;
         let has_zero = base.constant_um.is_some();
         let mut dictionary = Self { entries: Vec::new(), columns: Vec::new(), has_zero };
-        let candidates = simple_candidates(problem, &base, &residual);
+        let candidates = single_input_candidates(problem, &base, &residual);
         for (kind, candidate) in candidates.iter().enumerate() {
             let of = &candidate.kind;
             // A wave's period is found in what was measured, and would not be held out with a part of it.
-            let is_open = of.is_compensated() && of.is_additive() && of.as_stated_term().is_none();
+            let is_open = of.is_compensable() && of.is_additive() && of.as_stated_term().is_none();
             let amplitudes = of.amplitude_count();
             // Nor is what happens once a record predicted by its other parts.
             let is_once = of.has_spatial_period() || of.is_settling_from_start();
-            if !is_open || is_once || !(1..=MAX_AMPLITUDES).contains(&amplitudes) {
+            if !is_open || is_once || !(1..=MAX_TERM_AMPLITUDES).contains(&amplitudes) {
                 continue;
             }
             for setting in &candidate.settings {

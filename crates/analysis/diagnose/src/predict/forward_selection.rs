@@ -9,14 +9,14 @@
 //!
 //! The best gain wins; of those within one standard error (paired over the blocks) and nine tenths of it the simplest.
 
-use trueup_numerics::blocks::MIN_GAIN_STANDARD_ERRORS;
+use trueup_numerics::block_resampling::MIN_GAIN_STANDARD_ERRORS;
 
-use crate::predict::dictionary::Dictionary;
+use crate::predict::dictionary::TermDictionary;
 
 /// Within one standard error, but worth less than this share of the best, a simple term is no rival.
-const MIN_ALTERNATIVE_GAIN_SHARE: f64 = 0.9;
+const MIN_ALTERNATIVE_GAIN_RATIO: f64 = 0.9;
 /// The share of a column's squares left next to the others, below which it adds nothing.
-const MIN_UNIQUE_VARIANCE_SHARE: f64 = 1e-3;
+const MIN_UNIQUE_VARIANCE_FRACTION: f64 = 1e-3;
 /// A column is to be seen on as many occasions.
 const MIN_EFFECTIVE_BLOCKS: f64 = 3.0;
 /// Of a block that holds all but this share of what the mean block has nothing is predicted by the others.
@@ -24,7 +24,7 @@ const MIN_OUT_OF_BLOCK_SQUARES_RATIO: f64 = 0.25;
 
 /// A selection.
 pub(super) struct ForwardSelection<'f> {
-    pub dictionary: &'f Dictionary,
+    pub dictionary: &'f TermDictionary,
     pub y: &'f [f64],
     /// Whether it stops where a term is no longer worth a standard error.
     pub stops: bool,
@@ -53,9 +53,9 @@ impl ForwardSelection<'_> {
             if best.sum <= 0.0 {
                 break;
             }
-            let pick = self.select_simplest_gain(&gains, best);
+            let pick = self.select_simplest_entry(&gains, best);
             let is_worth = [best, pick].iter().any(|gain| {
-                gain.sum > MIN_GAIN_STANDARD_ERRORS * sum_standard_error(&gain.of_blocks)
+                gain.sum > MIN_GAIN_STANDARD_ERRORS * standard_error_of_sum(&gain.of_blocks)
             });
             if self.stops && !is_worth {
                 break;
@@ -64,7 +64,7 @@ impl ForwardSelection<'_> {
             for column in entry.columns.clone() {
                 let mut q = columns[column].clone();
                 let size = dot(&q, &q).sqrt();
-                if size * size <= MIN_UNIQUE_VARIANCE_SHARE * whole[column] {
+                if size * size <= MIN_UNIQUE_VARIANCE_FRACTION * whole[column] {
                     continue;
                 }
                 q.iter_mut().for_each(|q| *q /= size);
@@ -124,7 +124,7 @@ impl ForwardSelection<'_> {
         gains
     }
 
-    fn select_simplest_gain<'g>(
+    fn select_simplest_entry<'g>(
         &self,
         gains: &'g [EntryGain],
         best: &'g EntryGain,
@@ -133,8 +133,8 @@ impl ForwardSelection<'_> {
         let is_rival = |gain: &&EntryGain| {
             let apart: Vec<f64> =
                 best.of_blocks.iter().zip(&gain.of_blocks).map(|(a, b)| a - b).collect();
-            gain.sum >= MIN_ALTERNATIVE_GAIN_SHARE * best.sum
-                && best.sum - gain.sum <= MIN_GAIN_STANDARD_ERRORS * sum_standard_error(&apart)
+            gain.sum >= MIN_ALTERNATIVE_GAIN_RATIO * best.sum
+                && best.sum - gain.sum <= MIN_GAIN_STANDARD_ERRORS * standard_error_of_sum(&apart)
         };
         let rivals = gains.iter().filter(is_rival);
         let order = |a: &&EntryGain, b: &&EntryGain| {
@@ -156,7 +156,7 @@ fn add_block_gains(z: &[f64], r: &[f64], ends: &[usize], whole: f64, gains: &mut
     let [s, n, squares] = of_blocks
         .iter()
         .fold([0.0; 3], |[s, n, squares], [sb, nb]| [s + sb, n + nb, squares + nb * nb]);
-    if n <= MIN_UNIQUE_VARIANCE_SHARE * whole
+    if n <= MIN_UNIQUE_VARIANCE_FRACTION * whole
         || n * n < MIN_EFFECTIVE_BLOCKS.min(count / 3.0) * squares
     {
         return false;
@@ -192,7 +192,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Returns the standard error of the sum of values.
-fn sum_standard_error(values: &[f64]) -> f64 {
+fn standard_error_of_sum(values: &[f64]) -> f64 {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let scatter: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -238,7 +238,7 @@ mod tests {
     /// 1 + 2·(½ + ¼ + ⅛ + …), down to 0.05: ½, ¼, ⅛ and 1/16.
     #[test]
     fn the_memory_of_a_decay_is_its_sum() {
-        let mut noise = trueup_numerics::random::Generator::new(5);
+        let mut noise = trueup_numerics::random::RandomGenerator::new(5);
         let mut state = 0.0;
         let residual: Vec<f64> = (0..200_000)
             .map(|_| {

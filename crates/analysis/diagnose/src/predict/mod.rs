@@ -15,7 +15,9 @@ pub(crate) mod compact_model;
 mod dictionary;
 mod forward_selection;
 
-use trueup_numerics::{blocks::segment_indices, parallel::parallel_map, random::Generator};
+use trueup_numerics::{
+    block_resampling::segment_indices, parallel::parallel_map, random::RandomGenerator,
+};
 
 use crate::{
     fit::FitProblem,
@@ -23,7 +25,7 @@ use crate::{
     model::Model,
     predict::{
         compact_model::{CompactModel, fit_terms, select_compact_model},
-        dictionary::Dictionary,
+        dictionary::TermDictionary,
         forward_selection::{ForwardSelection, autocorrelation_time},
     },
     search::initial_model,
@@ -34,7 +36,7 @@ use crate::{
 const SUBSAMPLE_PAIR_COUNT: usize = 15;
 const HELD_OUT_SUBSAMPLE_PAIR_COUNT: usize = 6;
 /// The share of the blocks in a subsample.
-const SUBSAMPLE_BLOCK_SHARE: f64 = 0.75;
+const SUBSAMPLE_BLOCK_FRACTION: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.
 const MAX_EXTRA_SUBSAMPLE_TERMS: usize = 2;
 /// Blocks are this many times as long as what is left remembers; this many there are at least and at most.
@@ -73,7 +75,7 @@ pub(crate) fn select_correction(
     folds: &Folds,
     drift_um: &[f64],
 ) -> Option<SelectedCorrection> {
-    let dictionary = Dictionary::new(problem);
+    let dictionary = TermDictionary::new(problem);
     let measured = problem.residual(&Model::default());
     let y: Vec<f64> = measured.iter().zip(drift_um).map(|(um, drift)| um - drift).collect();
     let groups = y.len();
@@ -87,7 +89,7 @@ pub(crate) fn select_correction(
     };
     let whole = engine.select_model(&all, SUBSAMPLE_PAIR_COUNT)?;
     let model = whole.to_model(&dictionary, initial_model(&problem.data));
-    let parts = folds.record_part_numbers();
+    let parts = folds.block_index_by_group();
     let count = parts.iter().max().map_or(0, |last| last + 1);
     let mut left = measured.clone();
     for part in 0..count {
@@ -110,7 +112,7 @@ pub(crate) fn select_correction(
 
 /// The search with all that it needs.
 struct SubsampleSelection<'e> {
-    dictionary: &'e Dictionary,
+    dictionary: &'e TermDictionary,
     /// The machine file's residual in each group, in µm.
     y: &'e [f64],
     is_timed: bool,
@@ -151,8 +153,9 @@ impl SubsampleSelection<'_> {
             return Some(fit_terms(self.dictionary, self.y, rows, &terms));
         }
         let number = blocks[count - 1] + 1;
-        let kept = ((SUBSAMPLE_BLOCK_SHARE * number as f64).round() as usize).clamp(1, number - 1);
-        let mut generator = Generator::new(count as u64);
+        let kept =
+            ((SUBSAMPLE_BLOCK_FRACTION * number as f64).round() as usize).clamp(1, number - 1);
+        let mut generator = RandomGenerator::new(count as u64);
         let sides: Vec<Vec<bool>> = (0..pairs)
             .flat_map(|_| {
                 let order = random_permutation(number, &mut generator);
@@ -179,7 +182,7 @@ impl SubsampleSelection<'_> {
 }
 
 /// Returns the numbers below `count` in a random order.
-fn random_permutation(count: usize, generator: &mut Generator) -> Vec<usize> {
+fn random_permutation(count: usize, generator: &mut RandomGenerator) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for last in (1..count).rev() {
         order.swap(last, generator.uniform_index(last + 1));

@@ -1,15 +1,17 @@
 //! A model with one cause more, fitted as a whole; and with another cause in a term's place.
 
-use trueup_numerics::{blocks::rms, least_squares::normal::solve, parallel::parallel_map};
+use trueup_numerics::{
+    block_resampling::rms, least_squares::normal_equations::solve, parallel::parallel_map,
+};
 
 use trueup_machine::effect::Effect;
 
 use crate::{
-    candidates::{CandidateTerm, all_candidates, simple_candidates},
+    candidates::{CandidateTerm, all_candidates, single_input_candidates},
     fit::{FitProblem, FittedModel, fit},
     model::Model,
     search::{
-        criterion::{MAJORITY_SHARE, bic},
+        model_comparison::{MAJORITY_FRACTION, bic},
         range_bound::optimise_bound,
         scan::{NoiseSimulation, ScanHit, scan},
     },
@@ -18,13 +20,13 @@ use crate::{
 
 /// A model that was extended by a cause, fitted with everything else.
 #[derive(Clone)]
-pub(crate) struct Extension {
+pub(crate) struct ModelExtension {
     pub cause: TermKind,
     pub fitted: FittedModel,
     pub bic: f64,
 }
 
-impl Extension {
+impl ModelExtension {
     pub(crate) fn new(problem: &FitProblem, cause: TermKind, fitted: FittedModel) -> Self {
         let bic = bic(problem, &fitted);
         Self { cause, fitted, bic }
@@ -37,9 +39,9 @@ impl Extension {
 }
 
 /// A term's place: the model without the term, and with each other cause instead of it.
-pub(crate) struct Replacements {
+pub(crate) struct TermReplacements {
     pub without: FittedModel,
-    pub instead: Vec<Extension>,
+    pub instead: Vec<ModelExtension>,
 }
 
 /// `base` with each of the `candidates` that a scan puts first; whether noise would show as much is
@@ -49,11 +51,11 @@ pub(crate) fn fit_extensions(
     base: &FittedModel,
     candidates: &[CandidateTerm],
     most: usize,
-) -> Vec<Extension> {
+) -> Vec<ModelExtension> {
     // The names, the settings and the base are all that such a scan follows from.
     let what = format!("scan {candidates:?}");
     let scanned = problem
-        .memoise(&what, &base.model, || scan(problem, base, candidates, NoiseSimulation::Not));
+        .memoise(&what, &base.model, || scan(problem, base, candidates, NoiseSimulation::Skipped));
     fit_scan_hits(problem, base, &scanned.hits, most)
 }
 
@@ -64,8 +66,8 @@ pub(crate) fn fit_single_cause_extensions(
     base: &FittedModel,
     most: usize,
     admits: impl Fn(&TermKind) -> bool,
-) -> Vec<Extension> {
-    let mut candidates = simple_candidates(problem, &base.model, &base.residual);
+) -> Vec<ModelExtension> {
+    let mut candidates = single_input_candidates(problem, &base.model, &base.residual);
     candidates.retain(|candidate| admits(&candidate.kind));
     fit_extensions(problem, base, &candidates, most)
 }
@@ -76,7 +78,7 @@ pub(crate) fn fit_scan_hits(
     base: &FittedModel,
     hits: &[ScanHit],
     most: usize,
-) -> Vec<Extension> {
+) -> Vec<ModelExtension> {
     let mut order: Vec<&ScanHit> = hits.iter().collect();
     order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
     let mut chosen: Vec<&ScanHit> = order.iter().take(most).copied().collect();
@@ -96,7 +98,7 @@ pub(crate) fn fit_scan_hits(
             fitted = refine_step_time(problem, fitted);
         }
         let (fitted, kind) = optimise_bound(problem, &hit.part.kind, fitted);
-        Extension::new(problem, kind, fitted)
+        ModelExtension::new(problem, kind, fitted)
     })
 }
 
@@ -106,16 +108,16 @@ pub(crate) fn fit_replacements(
     fitted: &FittedModel,
     cause: &TermKind,
     most: usize,
-) -> Replacements {
+) -> TermReplacements {
     let reduced = fit(problem, &without_term(problem, &fitted.model, cause), None);
     // Of two that do as well the one that takes fewer inputs is the answer.
     let mut candidates = match cause.is_interaction() {
         true => all_candidates(problem, &reduced.model, &reduced.residual),
-        false => simple_candidates(problem, &reduced.model, &reduced.residual),
+        false => single_input_candidates(problem, &reduced.model, &reduced.residual),
     };
     candidates.retain(|candidate| candidate.kind != *cause);
     let instead = fit_extensions(problem, &reduced, &candidates, most);
-    Replacements { without: reduced, instead }
+    TermReplacements { without: reduced, instead }
 }
 
 /// Returns the model without a term; a constant that only came with a reference is removed too.
@@ -148,7 +150,7 @@ pub(crate) fn centred_effect(
 /// Returns whether of two effects the one takes back more of the other than it leaves.
 pub(crate) fn effects_cancel(one: &[f64], other: &[f64]) -> bool {
     let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
-    rms(&sum) < MAJORITY_SHARE * rms(one).min(rms(other))
+    rms(&sum) < MAJORITY_FRACTION * rms(one).min(rms(other))
 }
 
 fn with_hit(model: &Model, hit: &ScanHit) -> Model {

@@ -1,20 +1,20 @@
 //! Which of the extensions that a scan puts first is taken: judged on blocks that were held out.
 
-use trueup_numerics::blocks::{RmsReduction, rms};
+use trueup_numerics::block_resampling::{RmsReduction, rms};
 
 use crate::{
     fit::{FitProblem, FittedModel},
     folds::Folds,
-    gain::TermGain,
     search::{
-        criterion::{
+        extension::{ModelExtension, fit_scan_hits, fit_single_cause_extensions},
+        model_comparison::{
             MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom,
             estimate_noise,
         },
-        extension::{Extension, fit_scan_hits, fit_single_cause_extensions},
         scan::ScanHit,
-        state::{RejectReason, RejectedCandidate, Search},
+        search_state::{RejectReason, RejectedCandidate, Search},
     },
+    term_gain::TermGain,
     term_kind::TermKind,
 };
 
@@ -25,7 +25,7 @@ const MAX_GROUPS_FOR_PAIRS: usize = 3000;
 
 /// The outcome of a round.
 pub(crate) enum SelectionOutcome {
-    Take(ChosenExtension),
+    Accept(ChosenExtension),
     /// None of these.
     Reject(Vec<RejectedCandidate>),
 }
@@ -54,13 +54,13 @@ struct AssessedExtension {
 }
 
 /// The model before, on the same blocks.
-struct Baseline<'s> {
+struct BaselineModel<'s> {
     search: &'s Search<'s>,
     folds: Folds,
     left_out: Vec<f64>,
 }
 
-impl<'s> Baseline<'s> {
+impl<'s> BaselineModel<'s> {
     /// On blocks for noise with the memory of what `best` leaves.
     fn new(search: &'s Search<'s>, best: &FittedModel) -> Self {
         let noise = estimate_noise(search.problem, &best.residual, degrees_of_freedom(&best.model));
@@ -69,8 +69,8 @@ impl<'s> Baseline<'s> {
         Self { search, folds, left_out }
     }
 
-    fn assess(&self, extension: Extension) -> AssessedExtension {
-        let Extension { cause, fitted, bic } = extension;
+    fn assess(&self, extension: ModelExtension) -> AssessedExtension {
+        let ModelExtension { cause, fitted, bic } = extension;
         let left_out = self.folds.held_out_residuals(self.search.problem, &fitted.model);
         let left_out_um = rms(&left_out);
         let reduction = self.folds.rms_reduction(&self.left_out, &left_out);
@@ -124,13 +124,13 @@ impl<'s> Baseline<'s> {
 /// equals the simplest, then the machine's own. No partner of one is farther away than `tier`.
 pub(crate) fn choose_extension(
     search: &Search<'_>,
-    mut options: Vec<Extension>,
+    mut options: Vec<ModelExtension>,
     tier: u8,
     progress: &mut dyn FnMut(&str, f64),
 ) -> SelectionOutcome {
     let best_fit = options.iter().min_by(|a, b| a.fitted.sum.total_cmp(&b.fitted.sum));
     let Some(best_fit) = best_fit else { return SelectionOutcome::Reject(Vec::new()) };
-    let baseline = Baseline::new(search, &best_fit.fitted);
+    let baseline = BaselineModel::new(search, &best_fit.fitted);
     options.sort_by(|a, b| a.bic.total_cmp(&b.bic));
     options.truncate(MAX_CROSS_VALIDATED_EXTENSIONS);
     let mut all: Vec<AssessedExtension> = options
@@ -145,16 +145,16 @@ pub(crate) fn choose_extension(
         .filter(|extension| extension.is_gain)
         .map(|extension| extension.left_out_um)
         .fold(f64::INFINITY, f64::min);
-    if let Some(pair) = first_predictive_pair(&baseline, &all, tier, least_um) {
-        return SelectionOutcome::Take(pair);
+    if let Some(pair) = find_first_predictive_pair(&baseline, &all, tier, least_um) {
+        return SelectionOutcome::Accept(pair);
     }
-    let Some(taken) = best_extension_index(&all, least_um) else {
+    let Some(taken) = find_best_extension_index(&all, least_um) else {
         return SelectionOutcome::Reject(baseline.rejected_extensions(&all, None));
     };
     let tried = baseline.rejected_extensions(&all, Some(taken));
     let it = all.swap_remove(taken);
     let gain = baseline.term_gain(&it.fitted, &it.left_out, &it.reduction);
-    SelectionOutcome::Take(ChosenExtension {
+    SelectionOutcome::Accept(ChosenExtension {
         fitted: it.fitted,
         causes: vec![it.cause],
         gain,
@@ -163,7 +163,7 @@ pub(crate) fn choose_extension(
 }
 
 /// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
-fn best_extension_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
+fn find_best_extension_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
     let predicts = |extension: &AssessedExtension| {
         extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
     };
@@ -188,8 +188,8 @@ fn best_extension_index(all: &[AssessedExtension], least_um: f64) -> Option<usiz
 
 /// Returns what is right may predict no better while something else is wrong next to it: the first of `all` with
 /// a partner that lets it predict.
-fn first_predictive_pair(
-    baseline: &Baseline<'_>,
+fn find_first_predictive_pair(
+    baseline: &BaselineModel<'_>,
     all: &[AssessedExtension],
     tier: u8,
     least_um: f64,
@@ -203,7 +203,7 @@ fn first_predictive_pair(
     {
         return None;
     }
-    partner_extensions(search.problem, &first.fitted, tier).into_iter().find_map(|partner| {
+    fit_partner_extensions(search.problem, &first.fitted, tier).into_iter().find_map(|partner| {
         let left_out = baseline.folds.held_out_residuals(search.problem, &partner.fitted.model);
         let reduction = baseline.folds.rms_reduction(&baseline.left_out, &left_out);
         let predicts = reduction.is_gain && rms(&left_out) < MAX_EQUIVALENT_RMS_RATIO * least_um;
@@ -217,7 +217,11 @@ fn first_predictive_pair(
 }
 
 /// Returns the causes of at most `tier` that do most next to what `base` has, the best first.
-fn partner_extensions(problem: &FitProblem, base: &FittedModel, tier: u8) -> Vec<Extension> {
+fn fit_partner_extensions(
+    problem: &FitProblem,
+    base: &FittedModel,
+    tier: u8,
+) -> Vec<ModelExtension> {
     let own = bic(problem, base);
     let mut better = fit_single_cause_extensions(problem, base, 4, |cause| cause.tier() <= tier);
     better.retain(|extension| extension.bic < own - STRONG_EVIDENCE_BIC_DIFFERENCE);
@@ -228,7 +232,7 @@ fn partner_extensions(problem: &FitProblem, base: &FittedModel, tier: u8) -> Vec
 /// Two causes may each be hidden by the other, so that neither alone is more than noise. Tries the
 /// partners of the most likely of `hits`; a pair must be half as much again above `limit`, what noise
 /// lets one candidate reach, and must predict held-out blocks better.
-pub(crate) fn suppressor_pair(
+pub(crate) fn find_suppressor_pair(
     search: &Search<'_>,
     hits: &[ScanHit],
     tier: u8,
@@ -242,9 +246,9 @@ pub(crate) fn suppressor_pair(
     let simple: Vec<ScanHit> =
         hits.iter().filter(|hit| is_simple(&hit.part.kind)).cloned().collect();
     let mut best_bic = search.bic() - 1.5 * limit.max(0.0) - 2.0 * STRONG_EVIDENCE_BIC_DIFFERENCE;
-    let mut best: Option<(TermKind, Extension)> = None;
+    let mut best: Option<(TermKind, ModelExtension)> = None;
     for first in fit_scan_hits(problem, &search.fitted, &simple, 5) {
-        let Some(partner) = partner_extensions(problem, &first.fitted, tier).into_iter().next()
+        let Some(partner) = fit_partner_extensions(problem, &first.fitted, tier).into_iter().next()
         else {
             continue;
         };
@@ -254,7 +258,7 @@ pub(crate) fn suppressor_pair(
         }
     }
     let (first, partner) = best?;
-    let baseline = Baseline::new(search, &partner.fitted);
+    let baseline = BaselineModel::new(search, &partner.fitted);
     let left_out = baseline.folds.held_out_residuals(problem, &partner.fitted.model);
     let reduction = baseline.folds.rms_reduction(&baseline.left_out, &left_out);
     reduction.is_gain.then(|| ChosenExtension {

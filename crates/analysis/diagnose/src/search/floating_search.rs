@@ -12,23 +12,25 @@
 //! EBIC = BIC + 2·terms·ln(causes that may be tried)          (Chen and Chen, 2008, with γ = 1)
 //! ```
 
-use trueup_numerics::{blocks::rms, noise::NoiseModel, parallel::parallel_map};
+use trueup_numerics::{block_resampling::rms, noise::NoiseModel, parallel::parallel_map};
 
 use crate::{
-    candidates::simple_candidates,
+    candidates::single_input_candidates,
     fit::{FittedModel, fit},
-    gain::TermGain,
     model::Model,
     search::{
-        MAX_TERMS,
-        criterion::{
-            STRONG_EVIDENCE_BIC_DIFFERENCE, bic, choice_penalty, degrees_of_freedom, estimate_noise,
-        },
+        MAX_ADDED_TERMS,
         extension::{
-            Extension, centred_effect, effects_cancel, fit_single_cause_extensions, without_term,
+            ModelExtension, centred_effect, effects_cancel, fit_single_cause_extensions,
+            without_term,
         },
-        state::{AddedTerm, Search},
+        model_comparison::{
+            STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom, estimate_noise,
+            extended_bic_penalty,
+        },
+        search_state::{AddedTerm, Search},
     },
+    term_gain::TermGain,
     term_kind::TermKind,
 };
 
@@ -53,7 +55,7 @@ enum SelectionCriterion {
 }
 
 impl SelectionCriterion {
-    fn evaluate(self, Extension { fitted, bic, .. }: &Extension) -> f64 {
+    fn evaluate(self, ModelExtension { fitted, bic, .. }: &ModelExtension) -> f64 {
         match self {
             Self::Likelihood => *bic,
             Self::Squares => {
@@ -85,7 +87,7 @@ struct ScoredModel {
 
 impl Search<'_> {
     /// Floats on from the model in work; whether that has changed it.
-    pub(crate) fn apply_floating_search(&mut self) -> bool {
+    pub(crate) fn run_floating_search(&mut self) -> bool {
         let price = self.term_penalty();
         let own = self.assess(self.fitted.clone(), price);
         // A list has room for much that is none of it, and nothing else is needed next to it.
@@ -134,7 +136,7 @@ impl Search<'_> {
         for _ in 0..MAX_LOOKAHEAD_TERMS {
             let all =
                 fit_single_cause_extensions(self.problem, &here, MAX_FITTED_CANDIDATES, is_plain);
-            let Some(best) = Extension::best_by_bic(all) else { break };
+            let Some(best) = ModelExtension::best_by_bic(all) else { break };
             if best.bic + price >= bic(self.problem, &here) {
                 break;
             }
@@ -174,7 +176,7 @@ impl Search<'_> {
         let mut here = start.clone();
         let mut best: Option<ScoredModel> = None;
         let mut ahead = 0;
-        while ahead < MAX_LOOKAHEAD_TERMS && here.model.parts.len() < MAX_TERMS {
+        while ahead < MAX_LOOKAHEAD_TERMS && here.model.parts.len() < MAX_ADDED_TERMS {
             let Some(there) = self.forward_step(&here, way) else { break };
             let there = self.refit_time_constants(there);
             here = self.backward_elimination(there, way);
@@ -205,7 +207,7 @@ impl Search<'_> {
     /// values, and predicts better beyond doubt. No terms of it may cancel, and it must be identified.
     fn is_better(&self, one: &ScoredModel, other: &ScoredModel) -> bool {
         let gap = other.score - one.score;
-        let paired = self.folds.paired_comparison(&other.left_out, &one.left_out);
+        let paired = self.folds.compare_paired(&other.left_out, &one.left_out);
         let [own, others] = [one, other].map(|model| degrees_of_freedom(&model.fitted.model));
         let is_better = if gap >= STRONG_EVIDENCE_BIC_DIFFERENCE {
             let fewer = own < others;
@@ -221,13 +223,17 @@ impl Search<'_> {
     /// Returns what each term pays for the choice among all causes.
     fn term_penalty(&self) -> f64 {
         let fitted = &self.fitted;
-        let causes = simple_candidates(self.problem, &fitted.model, &fitted.residual);
-        choice_penalty(causes.len())
+        let causes = single_input_candidates(self.problem, &fitted.model, &fitted.residual);
+        extended_bic_penalty(causes.len())
     }
 
     /// `base` with the cause of the best BIC, whatever it is. Causes that are looked for at many periods or instants
     /// answer for that where they are alone.
-    fn forward_step(&self, base: &FittedModel, way: FloatingSearchOptions) -> Option<Extension> {
+    fn forward_step(
+        &self,
+        base: &FittedModel,
+        way: FloatingSearchOptions,
+    ) -> Option<ModelExtension> {
         let is_open = |cause: &TermKind| {
             let is_searched =
                 cause.has_spatial_period() || cause.is_instrument_error() || cause.has_instant();
@@ -235,12 +241,12 @@ impl Search<'_> {
             cause.tier() < 3 && !is_searched && !cause.is_time_shift() && is_admitted
         };
         let all = fit_single_cause_extensions(self.problem, base, MAX_FITTED_CANDIDATES, is_open);
-        let all = all.into_iter().map(|model| self.with_initial_state(model, way.price));
+        let all = all.into_iter().map(|model| self.fit_with_initial_state(model, way.price));
         all.min_by(|a, b| way.by.evaluate(a).total_cmp(&way.by.evaluate(b)))
     }
 
     /// Returns a model with a new lagged law from wherever that stood when the record began, if that is worth a term.
-    fn with_initial_state(&self, new: Extension, price: f64) -> Extension {
+    fn fit_with_initial_state(&self, new: ModelExtension, price: f64) -> ModelExtension {
         let model = &new.fitted.model;
         let is_late = new.cause.has_time_constant() && !new.cause.is_settling_from_start();
         if !is_late || model.parts.iter().any(|part| part.kind.is_settling_from_start()) {
@@ -258,7 +264,7 @@ impl Search<'_> {
             Some(with)
                 if with.bic + price < new.bic && with.fitted.model.unsettled_start().is_some() =>
             {
-                Extension { cause: new.cause, ..with }
+                ModelExtension { cause: new.cause, ..with }
             }
             _ => new,
         }
@@ -274,8 +280,8 @@ impl Search<'_> {
     }
 
     /// Returns the same terms, each time constant looked for again next to the others: a fit stays where it began.
-    fn refit_time_constants(&self, new: Extension) -> Extension {
-        let Extension { cause, mut fitted, .. } = new;
+    fn refit_time_constants(&self, new: ModelExtension) -> ModelExtension {
+        let ModelExtension { cause, mut fitted, .. } = new;
         let parts: Vec<TermKind> =
             fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
         for kind in parts.iter().filter(|kind| kind.has_time_constant() && **kind != cause) {
@@ -284,23 +290,27 @@ impl Search<'_> {
                 fit_single_cause_extensions(self.problem, &less, MAX_FITTED_CANDIDATES, |there| {
                     there == kind
                 });
-            match Extension::best_by_bic(again) {
+            match ModelExtension::best_by_bic(again) {
                 Some(again) if again.fitted.sum < fitted.sum => fitted = again.fitted,
                 _ => {}
             }
         }
-        Extension::new(self.problem, cause, fitted)
+        ModelExtension::new(self.problem, cause, fitted)
     }
 
     /// Returns a model without the terms that cost more than they explain; the one that has just come stays.
-    fn backward_elimination(&self, new: Extension, way: FloatingSearchOptions) -> FittedModel {
+    fn backward_elimination(&self, new: ModelExtension, way: FloatingSearchOptions) -> FittedModel {
         let mut here = new;
         loop {
             let others = here.fitted.model.parts.iter().map(|part| part.kind.clone());
             let others: Vec<TermKind> = others.filter(|kind| *kind != here.cause).collect();
             let less = parallel_map(&others, self.problem.is_parallel_worthwhile(), |kind| {
                 let model = without_term(self.problem, &here.fitted.model, kind);
-                Extension::new(self.problem, here.cause.clone(), fit(self.problem, &model, None))
+                ModelExtension::new(
+                    self.problem,
+                    here.cause.clone(),
+                    fit(self.problem, &model, None),
+                )
             });
             match less.into_iter().min_by(|a, b| way.by.evaluate(a).total_cmp(&way.by.evaluate(b)))
             {

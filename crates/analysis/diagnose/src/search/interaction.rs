@@ -8,9 +8,9 @@ use crate::{
     fit::{FitProblem, FittedModel, fit},
     search::{
         SearchScope,
-        criterion::{MAX_EQUIVALENT_RMS_RATIO, choice_penalty},
-        extension::{Extension, centred_effect, effects_cancel, fit_extensions},
-        state::Search,
+        extension::{ModelExtension, centred_effect, effects_cancel, fit_extensions},
+        model_comparison::{MAX_EQUIVALENT_RMS_RATIO, extended_bic_penalty},
+        search_state::Search,
     },
     term_kind::{ModelPart, TermKind},
 };
@@ -20,11 +20,11 @@ const MAX_SINGLE_REPLACEMENTS: usize = 10;
 
 /// Returns what takes two inputs together comes last, next to simpler terms that have stood for it. Returns models with
 /// one alone in the place of all terms of `fitted` that read the column of one of `causes`.
-pub(crate) fn single_term_replacements<'k>(
+pub(crate) fn fit_single_term_replacements<'k>(
     problem: &FitProblem,
     fitted: &FittedModel,
     causes: impl IntoIterator<Item = &'k TermKind>,
-) -> Vec<Extension> {
+) -> Vec<ModelExtension> {
     let mut columns: Vec<String> = causes.into_iter().filter_map(TermKind::column).collect();
     columns.sort_unstable();
     columns.dedup();
@@ -47,7 +47,7 @@ impl Search<'_> {
     pub(super) fn interaction_penalty(&self) -> f64 {
         let fitted = &self.fitted;
         let all = all_candidates(self.problem, &fitted.model, &fitted.residual);
-        choice_penalty(all.len())
+        extended_bic_penalty(all.len())
     }
 
     /// Returns whether a cause takes two inputs together and a term of the model that does so reads its column: several
@@ -60,7 +60,7 @@ impl Search<'_> {
 
     /// Returns whether an extension takes two inputs together and takes back what another term adds: two that are
     /// wrong.
-    pub(super) fn cancels_other_term(&self, extension: &Extension) -> bool {
+    pub(super) fn is_interaction_cancelling_other_term(&self, extension: &ModelExtension) -> bool {
         let effect = |kind: &TermKind| centred_effect(self.problem, &extension.fitted, kind);
         let others = extension.fitted.model.parts.iter().map(|part| &part.kind);
         let mut others = others.filter(|kind| **kind != extension.cause && kind.is_additive());
@@ -71,7 +71,7 @@ impl Search<'_> {
     }
 
     /// Two paths of heat may be the difference of two temperatures. Tries that in their place.
-    pub(super) fn replace_paths_by_difference(&mut self) {
+    pub(super) fn replace_heat_paths_by_difference(&mut self) {
         if self.breadth == SearchScope::Simple {
             return;
         }
@@ -85,7 +85,7 @@ impl Search<'_> {
             .collect();
         for (number, (first, one)) in paths.iter().enumerate() {
             for (second, other) in &paths[number + 1..] {
-                let Some(with) = self.with_difference([first, second], [one, other]) else {
+                let Some(with) = self.fit_with_difference([first, second], [one, other]) else {
                     continue;
                 };
                 let is_predicted = || {
@@ -106,7 +106,11 @@ impl Search<'_> {
     }
 
     /// Returns the model with the difference of two columns in the place of two paths.
-    fn with_difference(&self, paths: [&TermKind; 2], columns: [&str; 2]) -> Option<Extension> {
+    fn fit_with_difference(
+        &self,
+        paths: [&TermKind; 2],
+        columns: [&str; 2],
+    ) -> Option<ModelExtension> {
         let mut model = self.fitted.model.clone();
         let lags_s: Vec<f64> = model
             .parts
@@ -142,8 +146,8 @@ impl Search<'_> {
             with.parts.push(ModelPart { kind: kind.clone(), values });
             with.constant_um = with.constant_um.or(Some(0.0));
             with.sort_parts();
-            Extension::new(self.problem, kind, fit(self.problem, &with, None))
+            ModelExtension::new(self.problem, kind, fit(self.problem, &with, None))
         });
-        Extension::best_by_bic(fitted)
+        ModelExtension::best_by_bic(fitted)
     }
 }

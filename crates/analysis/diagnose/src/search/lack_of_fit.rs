@@ -7,10 +7,10 @@ use crate::{
     fit::{FitProblem, FittedModel},
     folds::FoldUnit,
     search::{
-        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
-        extension::{Extension, fit_extensions},
+        extension::{ModelExtension, fit_extensions},
+        model_comparison::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
     },
-    term_kind::{Curve, TermKind},
+    term_kind::{LackOfFitCurve, TermKind},
 };
 
 /// A sign that what is left is more than noise.
@@ -23,13 +23,13 @@ pub(crate) enum LackOfFit {
         left_out: FoldUnit,
     },
     /// A curve over these explains more than noise would let it.
-    GoesWith(CurveInputs),
+    CorrelatedWith(CurveInputs),
 }
 
 impl LackOfFit {
     /// Returns whether what is left depends on these.
     pub(crate) fn depends_on(&self, inputs: &CurveInputs) -> bool {
-        matches!(self, Self::GoesWith(left) if left == inputs)
+        matches!(self, Self::CorrelatedWith(left) if left == inputs)
     }
 }
 
@@ -40,10 +40,10 @@ impl fmt::Display for LackOfFit {
                 write!(
                     f,
                     "{} is more than noise, but has no gain on held-out {left_out}",
-                    cause.title()
+                    cause.name_with_column()
                 )
             }
-            Self::GoesWith(inputs) => write!(f, "the residual depends on {inputs}"),
+            Self::CorrelatedWith(inputs) => write!(f, "the residual depends on {inputs}"),
         }
     }
 }
@@ -60,7 +60,9 @@ pub(crate) struct CurveInputs {
 impl CurveInputs {
     /// Those of a curve; none of a cause.
     pub(crate) fn from_kind(kind: &TermKind) -> Option<Self> {
-        let TermKind::Curve(Curve { column, by_direction, times, .. }) = kind else { return None };
+        let TermKind::Curve(LackOfFitCurve { column, by_direction, times, .. }) = kind else {
+            return None;
+        };
         Some(Self { column: column.clone(), times: times.clone(), by_direction: *by_direction })
     }
 }
@@ -80,13 +82,13 @@ pub(crate) fn fit_single_curve_extensions(
     problem: &FitProblem,
     base: &FittedModel,
     curves: &[CandidateTerm],
-) -> Vec<Extension> {
+) -> Vec<ModelExtension> {
     fit_extensions(problem, base, curves, 2)
 }
 
 /// `base` with up to two curves that explain more than they cost: what is left then is left by
 /// whatever law there is.
-pub(crate) fn with_curves(
+pub(crate) fn add_best_curves(
     problem: &FitProblem,
     base: &FittedModel,
     curves: &[CandidateTerm],
@@ -94,7 +96,7 @@ pub(crate) fn with_curves(
     let mut best = base.clone();
     for _ in 0..2 {
         let own = bic(problem, &best);
-        let with = Extension::best_by_bic(fit_single_curve_extensions(problem, &best, curves));
+        let with = ModelExtension::best_by_bic(fit_single_curve_extensions(problem, &best, curves));
         let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE_BIC_DIFFERENCE) else {
             break;
         };

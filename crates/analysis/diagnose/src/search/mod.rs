@@ -17,7 +17,7 @@
 //! | `choose` | which extension is taken |
 //! | `table` | a table that was measured several times, judged by its repeats |
 //! | `interaction`, `bound` | what takes two inputs together: differences of two temperatures, ranges and their bounds |
-//! | `apply_floating_search` | several terms at once, what one alone cannot show |
+//! | `run_floating_search` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplification` | what is made simpler at the end |
 //! | `smoothing` | lags that only take noise away |
@@ -25,26 +25,27 @@
 //! Models whose BIC cannot be distinguished are equal; then the simpler cause wins, among those the one
 //! that predicts held-out blocks better, and the machine's own model and sensors come before others.
 
-pub(crate) mod criterion;
 pub(crate) mod extension;
 mod extension_choice;
 mod floating_search;
 pub(crate) mod interaction;
 pub(crate) mod lack_of_fit;
+pub(crate) mod model_comparison;
 pub(crate) mod range_bound;
-mod revision;
 pub(crate) mod scan;
+mod scan_statistics;
+pub(crate) mod search_state;
 pub(crate) mod simplification;
 pub(crate) mod smoothing;
-pub(crate) mod state;
-mod statistics;
 pub(crate) mod table;
+mod term_revision;
 
 use trueup_numerics::noise::NoiseModel;
 
 use crate::{
     candidates::{
-        all_candidates, curve_candidates, simple_and_clock_candidates, simple_candidates,
+        all_candidates, non_interaction_candidates, propose_curve_candidates,
+        single_input_candidates,
     },
     data::DataTable,
     fit::{FitProblem, FittedModel},
@@ -52,25 +53,25 @@ use crate::{
     model::Model,
     term_kind::ModelPart,
 };
-use criterion::{degrees_of_freedom, estimate_noise};
 use extension::fit_scan_hits;
-use extension_choice::{ChosenExtension, SelectionOutcome, choose_extension, suppressor_pair};
-use interaction::single_term_replacements;
+use extension_choice::{ChosenExtension, SelectionOutcome, choose_extension, find_suppressor_pair};
+use interaction::fit_single_term_replacements;
 use lack_of_fit::{CurveInputs, LackOfFit};
+use model_comparison::{degrees_of_freedom, estimate_noise};
 use scan::{NoiseSimulation, ScanHit, ScanResult, scan};
-pub(crate) use state::{AddedTerm, RejectedCandidate};
-use state::{RejectReason, Search, SearchStage};
+pub(crate) use search_state::{AddedTerm, RejectedCandidate};
+use search_state::{RejectReason, Search, SearchStage};
 
 /// Most terms of one diagnosis.
-const MAX_TERMS: usize = 8;
+const MAX_ADDED_TERMS: usize = 8;
 /// Most rounds: one for each term, and as many as find nothing.
-const MAX_ROUNDS: usize = MAX_TERMS + 8;
+const MAX_SEARCH_ROUNDS: usize = MAX_ADDED_TERMS + 8;
 /// How often the search begins again after a term was given up.
-const MAX_RESTARTS: usize = 3;
+const MAX_SEARCH_RESTARTS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
 const MAX_FITTED_CANDIDATES: usize = 10;
 /// Groups times fitted values up to which several terms ahead are looked at: it is many fits.
-const MAX_LOOKAHEAD_WORK: usize = 40_000;
+const MAX_LOOKAHEAD_COST: usize = 40_000;
 
 /// How far a search goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +119,7 @@ pub(crate) fn search(
     }
     // What predicts nothing may have stood in the way of what does.
     let mut returns = 0;
-    while search.simplify_model() && returns < MAX_RESTARTS {
+    while search.simplify_model() && returns < MAX_SEARCH_RESTARTS {
         search.restart_search();
         no_gain = search.add_terms(progress);
         returns += 1;
@@ -139,17 +140,17 @@ enum RoundOutcome {
 impl Search<'_> {
     /// Adds terms until nothing more is to be found; what is more than noise then, but predicts nothing.
     fn add_terms(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Vec<LackOfFit> {
-        for round in 0..MAX_ROUNDS {
-            let part = |rounds: f64| (rounds / MAX_TERMS as f64).min(0.9);
+        for round in 0..MAX_SEARCH_ROUNDS {
+            let part = |rounds: f64| (rounds / MAX_ADDED_TERMS as f64).min(0.9);
             progress("looking for a cause", part(round as f64));
             match self.run_round(progress) {
-                RoundOutcome::AddedTerm if self.added.len() >= MAX_TERMS => break,
+                RoundOutcome::AddedTerm if self.added.len() >= MAX_ADDED_TERMS => break,
                 RoundOutcome::AddedTerm => {
                     progress("comparing with alternatives", part(round as f64 + 0.7));
                     self.revise_terms();
                 }
                 RoundOutcome::Widened => {}
-                RoundOutcome::Exhausted(hits) => return self.collect_rejected(&hits),
+                RoundOutcome::Exhausted(hits) => return self.collect_rejected_candidates(&hits),
             }
         }
         Vec::new()
@@ -159,8 +160,8 @@ impl Search<'_> {
     fn run_round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> RoundOutcome {
         let all = match self.stage {
             SearchStage::Composed => all_candidates,
-            SearchStage::ByTheClock => simple_and_clock_candidates,
-            _ => simple_candidates,
+            SearchStage::PeriodicInTime => non_interaction_candidates,
+            _ => single_input_candidates,
         };
         let mut candidates = all(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
@@ -176,13 +177,13 @@ impl Search<'_> {
         let mut options = fit_scan_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
         if self.stage == SearchStage::Composed {
             let causes = self.added.iter().map(|term| &term.cause);
-            let alone = single_term_replacements(self.problem, &self.fitted, causes);
+            let alone = fit_single_term_replacements(self.problem, &self.fitted, causes);
             let bic = self.bic();
             options.extend(alone.into_iter().filter(|extension| extension.bic < bic));
-            options.retain(|option| !self.cancels_other_term(option));
+            options.retain(|option| !self.is_interaction_cancelling_other_term(option));
         }
         match choose_extension(self, options, tier, progress) {
-            SelectionOutcome::Take(taken) => {
+            SelectionOutcome::Accept(taken) => {
                 self.accept_extension(taken, &hits);
                 RoundOutcome::AddedTerm
             }
@@ -228,7 +229,7 @@ impl Search<'_> {
         if self.stage == SearchStage::All && is_empty {
             let limit = scanned.likelihood_limit.unwrap_or(0.0);
             if let Some(ChosenExtension { fitted, causes, gain, .. }) =
-                suppressor_pair(self, &scanned.hits, tier, limit)
+                find_suppressor_pair(self, &scanned.hits, tier, limit)
             {
                 self.fitted = fitted;
                 let added = |cause| AddedTerm { cause, gain, tried: Vec::new() };
@@ -251,9 +252,9 @@ impl Search<'_> {
         let work = self.problem.groups.len() * degrees_of_freedom(&self.fitted.model);
         if !is_empty && self.mark_lookahead_done() {
             progress("looking several terms ahead", f64::NAN);
-            let is_cheap = work < MAX_LOOKAHEAD_WORK;
+            let is_cheap = work < MAX_LOOKAHEAD_COST;
             if self.replace_lists_by_plain_terms()
-                || is_cheap && (self.apply_floating_search() || self.try_two_step_lookahead())
+                || is_cheap && (self.run_floating_search() || self.try_two_step_lookahead())
             {
                 self.revise_terms();
                 return RoundOutcome::Widened;
@@ -273,8 +274,8 @@ impl Search<'_> {
             self.stage = SearchStage::Composed;
             return RoundOutcome::Widened;
         }
-        if self.stage != SearchStage::ByTheClock {
-            self.stage = SearchStage::ByTheClock;
+        if self.stage != SearchStage::PeriodicInTime {
+            self.stage = SearchStage::PeriodicInTime;
             return RoundOutcome::Widened;
         }
         RoundOutcome::Exhausted(scanned.hits)
@@ -282,7 +283,7 @@ impl Search<'_> {
 
     /// Gathers what was rejected on the way, down to what was not even significant in the last scan;
     /// what is more than noise, but does not predict, is a lack of fit.
-    fn collect_rejected(&mut self, hits: &[ScanHit]) -> Vec<LackOfFit> {
+    fn collect_rejected_candidates(&mut self, hits: &[ScanHit]) -> Vec<LackOfFit> {
         for added in &self.added {
             for tried in &added.tried {
                 let is_in = added.cause == tried.cause || self.fitted.model.contains(&tried.cause);
@@ -323,7 +324,7 @@ impl Search<'_> {
     /// Returns the outcome, with what fires on what is left next to `lack_of_fit`.
     fn into_outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> SearchOutcome {
         let (problem, fitted) = (self.problem, self.fitted);
-        let scanned = scan(problem, &fitted, &curve_candidates(problem), self.limits);
+        let scanned = scan(problem, &fitted, &propose_curve_candidates(problem), self.limits);
         let share_um = |hit: &ScanHit| (hit.explained * fitted.rms().powi(2)).sqrt();
         let counts = |hit: &&ScanHit| hit.is_significant && share_um(hit) > self.relevant_um;
         let inputs = scanned
@@ -333,7 +334,7 @@ impl Search<'_> {
             .filter_map(|hit| CurveInputs::from_kind(&hit.part.kind));
         for inputs in inputs {
             if !lack_of_fit.iter().any(|there| there.depends_on(&inputs)) {
-                lack_of_fit.push(LackOfFit::GoesWith(inputs));
+                lack_of_fit.push(LackOfFit::CorrelatedWith(inputs));
             }
         }
         let noise = estimate_noise(problem, &fitted.residual, degrees_of_freedom(&fitted.model));

@@ -15,7 +15,7 @@ const BOUNDS_PER_PASS: usize = 9;
 const INTERVAL_SCAN_STEPS: usize = 60;
 /// The share of the rows on either side of a bound in which a better one is looked for: as far as the next one that a
 /// search tries.
-const REFINEMENT_SHARE: f64 = 0.1;
+const REFINEMENT_FRACTION: f64 = 0.1;
 
 /// Returns `fitted` with the bound of its part `kind` where it leaves least, and that part.
 pub(super) fn optimise_bound(
@@ -31,7 +31,7 @@ pub(super) fn optimise_bound(
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let place = |bound: f64| sorted.partition_point(|value| *value <= bound);
-    let around = (REFINEMENT_SHARE * sorted.len() as f64) as usize;
+    let around = (REFINEMENT_FRACTION * sorted.len() as f64) as usize;
     let (mut low, mut high) = {
         let here = place(within.bound);
         (here.saturating_sub(around).max(1), (here + around).min(sorted.len().saturating_sub(1)))

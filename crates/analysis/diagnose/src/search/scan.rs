@@ -19,26 +19,26 @@
 //! search, not of one test, whatever the columns are and however they resemble each other.
 
 use trueup_numerics::{
-    least_squares::normal::dot,
+    least_squares::normal_equations::dot,
     noise::{self, NoiseModel},
     parallel::parallel_map,
-    random::Generator,
+    random::RandomGenerator,
 };
 
 use crate::{
     candidates::CandidateTerm,
     fit::{FitProblem, FittedModel, jacobian, part_derivatives},
     model::Model,
-    outliers::FALSE_CLAIM_PROBABILITY,
+    outliers::FALSE_POSITIVE_PROBABILITY,
     search::{
-        criterion::{estimate_noise, max_autocorrelation_time},
-        statistics::{Trial, compute_scan_statistics},
+        model_comparison::{estimate_noise, max_autocorrelation_time},
+        scan_statistics::{CandidateTrial, compute_scan_statistics},
     },
     term_kind::ModelPart,
 };
 
 /// Chance that noise passes the limit of one of the two statistics in one search: together that of a claim.
-pub(crate) const FALSE_ALARM_PROBABILITY: f64 = FALSE_CLAIM_PROBABILITY / 2.0;
+pub(crate) const FALSE_ALARM_PROBABILITY: f64 = FALSE_POSITIVE_PROBABILITY / 2.0;
 /// Draws of noise: the scale of a Gumbel distribution from as many is known to 14 % (0.78/√n).
 const NOISE_SIMULATION_COUNT: usize = 32;
 
@@ -103,7 +103,7 @@ fn effect_columns(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoiseSimulation {
     /// Nothing is decided by them.
-    Not,
+    Skipped,
     /// Noises on a coarse grid: between its points any candidate seems to help, the limits are high,
     /// and what passes them does so whatever the noise is.
     Robust,
@@ -151,9 +151,9 @@ pub(crate) fn scan(
     };
     let real = of(std::slice::from_ref(residual));
     let may_pass = best(&real, 0).iter().any(|value| *value > 0.0);
-    let limits = (draw != NoiseSimulation::Not && may_pass).then(|| {
+    let limits = (draw != NoiseSimulation::Skipped && may_pass).then(|| {
         let sigma = (dot(residual, residual) / rows as f64).sqrt();
-        let mut generator = Generator::new(0x7472_7565_7570 ^ rows as u64);
+        let mut generator = RandomGenerator::new(0x7472_7565_7570 ^ rows as u64);
         let drawn: Vec<Vec<f64>> = (0..NOISE_SIMULATION_COUNT)
             .map(|_| {
                 let mut e = noise::draw_noise(own, steps, &mut generator);
@@ -164,7 +164,7 @@ pub(crate) fn scan(
         let all = of(&drawn);
         let most: Vec<[f64; 2]> =
             (0..NOISE_SIMULATION_COUNT).map(|draw| best(&all, draw)).collect();
-        [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
+        [0, 1].map(|which| gumbel_threshold(most.iter().map(|most| most[which])))
     });
     let mut hits: Vec<ScanHit> = Vec::new();
     for (number, trial) in trials.iter().enumerate() {
@@ -212,7 +212,11 @@ impl ScanHit {
 }
 
 /// Returns every candidate at every setting, with and without a constant.
-fn build_trials(problem: &FitProblem, model: &Model, candidates: &[CandidateTerm]) -> Vec<Trial> {
+fn build_trials(
+    problem: &FitProblem,
+    model: &Model,
+    candidates: &[CandidateTerm],
+) -> Vec<CandidateTrial> {
     let rows = problem.groups.len();
     let here = problem.predict(model);
     let mut trials = Vec::new();
@@ -234,7 +238,7 @@ fn build_trials(problem: &FitProblem, model: &Model, candidates: &[CandidateTerm
             if may_have {
                 let mut columns = columns.clone();
                 columns.push(vec![1.0; rows]);
-                trials.push(Trial {
+                trials.push(CandidateTrial {
                     candidate: number,
                     setting: setting.clone(),
                     with_constant: true,
@@ -243,7 +247,7 @@ fn build_trials(problem: &FitProblem, model: &Model, candidates: &[CandidateTerm
                     degrees: degrees as f64 + 1.0,
                 });
             }
-            trials.push(Trial {
+            trials.push(CandidateTrial {
                 candidate: number,
                 setting: setting.clone(),
                 with_constant: false,
@@ -263,7 +267,7 @@ fn candidate_noise_models(
     own: NoiseModel,
     draw: NoiseSimulation,
 ) -> Vec<NoiseModel> {
-    if draw == NoiseSimulation::Not {
+    if draw == NoiseSimulation::Skipped {
         let quick = NoiseModel { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
         return vec![NoiseModel::WHITE, quick, own];
     }
@@ -284,7 +288,7 @@ fn candidate_noise_models(
 
 /// Returns the value that the largest of a search on noise passes with the chance [`FALSE_ALARM_PROBABILITY`], by the
 /// moments of a Gumbel distribution.
-fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
+fn gumbel_threshold(values: impl Iterator<Item = f64>) -> f64 {
     const EULER_MASCHERONI: f64 = 0.577_215_664_901_532_9;
     let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     let count = values.len().max(1) as f64;
@@ -303,7 +307,7 @@ mod tests {
         // The quantiles of 8 + 2·G, G of the standard Gumbel distribution.
         let values = (0..2000).map(|n| 8.0 - 2.0 * (-((f64::from(n) + 0.5) / 2000.0).ln()).ln());
         let exact = 8.0 - 2.0 * (-(1.0 - FALSE_ALARM_PROBABILITY).ln()).ln();
-        let limit = gumbel_limit(values);
+        let limit = gumbel_threshold(values);
         assert!((limit - exact).abs() < 0.02 * exact, "{limit} {exact}");
     }
 }

@@ -3,21 +3,21 @@
 
 use trueup_machine::{
     effect::{BoardTerm, Effect},
-    file::PitchErrorTable,
+    machine_file::PitchErrorTable,
 };
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use crate::{
     fit::{FittedModel, fit},
     model::Model,
     search::{
-        criterion::{
+        extension::{ModelExtension, centred_effect, effects_cancel, fit_single_cause_extensions},
+        model_comparison::{
             MAX_EQUIVALENT_RMS_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, bic_gap,
             degrees_of_freedom,
         },
-        extension::{Extension, centred_effect, effects_cancel, fit_single_cause_extensions},
-        state::{AddedTerm, Search},
+        search_state::{AddedTerm, Search},
     },
     term_kind::{ModelPart, TermKind},
 };
@@ -27,16 +27,16 @@ impl Search<'_> {
     pub(crate) fn simplify_model(&mut self) -> bool {
         let given_up = self.given_up.len();
         self.replace_term_by_lag();
-        self.replace_paths_by_difference();
+        self.replace_heat_paths_by_difference();
         self.replace_by_bidirectional_table();
         self.replace_table_by_laws();
-        self.drop_cancelling_paths();
+        self.drop_cancelling_heat_paths();
         self.drop_smoothing_lags();
         self.drop_single_reading_terms();
         self.drop_unneeded_terms();
         self.prefer_simplest_cause();
-        self.promote_second_paths();
-        self.order_paths_by_size();
+        self.promote_second_heat_paths();
+        self.order_heat_paths_by_size();
         self.given_up.len() > given_up
     }
 
@@ -49,11 +49,15 @@ impl Search<'_> {
         for index in 0..self.added.len() {
             let cause = self.added[index].cause.clone();
             let is_prompt = cause.heat_path().is_some_and(|path| !path.has_lag);
-            let Some(late) = cause.to_separate_path(true).filter(|_| is_prompt) else { continue };
+            let Some(late) = cause.to_separate_heat_path(true).filter(|_| is_prompt) else {
+                continue;
+            };
             if !self.fitted.model.contains(&cause) {
                 continue;
             }
-            let Some((other, with)) = self.find_best_lag(&cause, &late) else { continue };
+            let Some((other, with)) = self.find_best_lag_substitution(&cause, &late) else {
+                continue;
+            };
             // As in the choice of a term, what predicts clearly better comes before the BIC.
             if with.bic < self.bic() && self.predicts_better(&cause, &with)
                 || MAX_EQUIVALENT_RMS_RATIO * self.held_out_rms_um(&with.fitted)
@@ -68,9 +72,13 @@ impl Search<'_> {
 
     /// Returns the best model with the path `late` for the path `plain` and one other term less: that term,
     /// and the model.
-    fn find_best_lag(&self, plain: &TermKind, late: &TermKind) -> Option<(TermKind, Extension)> {
+    fn find_best_lag_substitution(
+        &self,
+        plain: &TermKind,
+        late: &TermKind,
+    ) -> Option<(TermKind, ModelExtension)> {
         let [low, high] = self.problem.bounds.time_constant_s;
-        let mut best: Option<(TermKind, Extension)> = None;
+        let mut best: Option<(TermKind, ModelExtension)> = None;
         for other in self.added.iter().map(|term| &term.cause).filter(|other| *other != plain) {
             for tau in [3.0 * low, (low * high).sqrt()] {
                 let mut model = self.fitted.model.clone();
@@ -80,7 +88,7 @@ impl Search<'_> {
                     part.values.insert(0, tau);
                 }
                 let fitted = fit(self.problem, &model, None);
-                let with = Extension::new(self.problem, late.clone(), fitted);
+                let with = ModelExtension::new(self.problem, late.clone(), fitted);
                 if best.as_ref().is_none_or(|(_, best)| with.bic < best.bic) {
                     best = Some((other.clone(), with));
                 }
@@ -115,7 +123,7 @@ impl Search<'_> {
             .parts
             .push(ModelPart { values: vec![0.0; table.degrees_of_freedom()], kind: table.clone() });
         model.sort_parts();
-        let with = Extension::new(self.problem, table, fit(self.problem, &model, None));
+        let with = ModelExtension::new(self.problem, table, fit(self.problem, &model, None));
         let (there, own) = (self.held_out_rms_um(&with.fitted), self.held_out_rms_um(&self.fitted));
         let is_better = with.bic < self.bic() && there < own;
         if is_better || MAX_EQUIVALENT_RMS_RATIO * there < own {
@@ -133,7 +141,7 @@ impl Search<'_> {
         let table = self.fitted.model.parts.iter().map(|part| &part.kind);
         let table = table.filter(|cause| is_table(cause)).find(|cause| is_additive(cause)).cloned();
         let Some(table) = table else { return };
-        let Some(ReplacementLaws { causes, fitted, bic }) = self.best_replacement_laws(&table)
+        let Some(ReplacementLaws { causes, fitted, bic }) = self.find_best_replacement_laws(&table)
         else {
             return;
         };
@@ -158,7 +166,7 @@ impl Search<'_> {
     }
 
     /// Returns the best laws in the place of a table.
-    fn best_replacement_laws(&self, table: &TermKind) -> Option<ReplacementLaws> {
+    fn find_best_replacement_laws(&self, table: &TermKind) -> Option<ReplacementLaws> {
         let own = self.problem.data.setting.quantity.axis();
         let laws: Vec<TermKind> = [
             BoardTerm::OwnPosition(1.0),
@@ -183,10 +191,8 @@ impl Search<'_> {
             model.sort_parts();
             let with = fit(self.problem, &model, None);
             let waves = self.fit_single_wave_extensions(&with.model);
-            all.extend(waves.into_iter().map(|Extension { cause, fitted, bic }| ReplacementLaws {
-                causes: [&new[..], &[cause]].concat(),
-                fitted,
-                bic,
+            all.extend(waves.into_iter().map(|ModelExtension { cause, fitted, bic }| {
+                ReplacementLaws { causes: [&new[..], &[cause]].concat(), fitted, bic }
             }));
             all.push(ReplacementLaws { causes: new, bic: bic(self.problem, &with), fitted: with });
         }
@@ -195,7 +201,7 @@ impl Search<'_> {
 
     /// `model` with each wave that the data show, without those that it has: what was found next to a
     /// table may be what the table could not follow of another.
-    fn fit_single_wave_extensions(&self, model: &Model) -> Vec<Extension> {
+    fn fit_single_wave_extensions(&self, model: &Model) -> Vec<ModelExtension> {
         let mut plain = model.clone();
         plain.parts.retain(|part| !part.kind.has_spatial_period());
         let plain = fit(self.problem, &plain, None);
@@ -204,15 +210,15 @@ impl Search<'_> {
 
     /// Two columns that go together, stacked with opposite signs, are their difference and no heat: of such
     /// two paths the one leaves without which less is left.
-    fn drop_cancelling_paths(&mut self) {
-        while let Some((index, without)) = self.cancelling_path() {
+    fn drop_cancelling_heat_paths(&mut self) {
+        while let Some((index, without)) = self.find_cancelling_heat_path() {
             self.given_up.push(self.added[index].cause.clone());
             self.remove_term(index, without);
         }
     }
 
     /// Returns the path to leave of the first two that take each other back, and the model without it.
-    fn cancelling_path(&self) -> Option<(usize, FittedModel)> {
+    fn find_cancelling_heat_path(&self) -> Option<(usize, FittedModel)> {
         let column = |index: usize| self.added[index].cause.heat_path().map(|path| path.column);
         let effects: Vec<Vec<f64>> = self
             .added
@@ -234,12 +240,12 @@ impl Search<'_> {
     }
 
     /// Of two paths of a column the one that does more is the first, whichever was found before.
-    fn order_paths_by_size(&mut self) {
+    fn order_heat_paths_by_size(&mut self) {
         let size = |cause: &TermKind| rms(&centred_effect(self.problem, &self.fitted, cause));
         let second =
             |term: &AddedTerm| term.cause.heat_path().filter(|path| path.is_second).is_some();
         let renamed = self.added.iter().filter(|term| second(term)).find_map(|term| {
-            let own_path = term.cause.to_separate_path(true)?;
+            let own_path = term.cause.to_separate_heat_path(true)?;
             let column = term.cause.heat_path()?.column;
             let first = |there: &&AddedTerm| {
                 let path = there.cause.heat_path().filter(|path| !path.is_second);
@@ -261,7 +267,7 @@ impl Search<'_> {
     /// standard error of the difference, or by a share that does not matter.
     pub(crate) fn predicts_as_well(&self, other: &FittedModel, own: &[f64]) -> bool {
         let there = self.held_out_residuals(other);
-        !self.folds.paired_comparison(&there, own).is_better()
+        !self.folds.compare_paired(&there, own).is_better()
             || rms(&there) <= MAX_EQUIVALENT_RMS_RATIO * rms(own)
     }
 
@@ -302,7 +308,7 @@ impl Search<'_> {
                 .map(|index| {
                     let without = self.refit_without(&self.added[index].cause);
                     let paired =
-                        self.folds.paired_comparison(&self.held_out_residuals(&without), &with);
+                        self.folds.compare_paired(&self.held_out_residuals(&without), &with);
                     (index, without, paired)
                 })
                 .min_by(|a, b| a.2.gain.total_cmp(&b.2.gain));
@@ -341,7 +347,7 @@ impl Search<'_> {
             let is_open = || {
                 !self
                     .folds
-                    .paired_comparison(&self.held_out_residuals(&it.fitted), &with)
+                    .compare_paired(&self.held_out_residuals(&it.fitted), &with)
                     .is_significant()
             };
             if (gap < STRONG_EVIDENCE_BIC_DIFFERENCE || is_at_the_end) && as_well()

@@ -2,17 +2,17 @@
 //! comes late; what smooths as much and is not late, which no part can, does as well for the noise.
 
 use trueup_machine::effect::Effect;
-use trueup_numerics::{blocks::PairedComparison, parallel::parallel_map};
+use trueup_numerics::{block_resampling::PairedComparison, parallel::parallel_map};
 
 use crate::{
     fit::{FitProblem, FittedModel, fit},
     folds::Folds,
     machine_laws::MachineLaws,
     model::Model,
-    parameters::mean_row_interval_s,
+    parameter_estimates::mean_row_interval_s,
     search::{
-        criterion::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
-        state::Search,
+        model_comparison::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
+        search_state::Search,
     },
     term_kind::ModelPart,
 };
@@ -46,7 +46,7 @@ fn holds_with_smoothing(
     let lag_s = part.values.first().map_or(0.0, |lag_s| lag_s.max(mean_row_interval_s(problem)));
     let column = part.kind.column();
     let of = |times: &f64| {
-        let smooth = MachineLaws::with_smoothed_thermometers(
+        let smooth = MachineLaws::table_with_smoothed_thermometers(
             &problem.data,
             column.as_deref(),
             times * lag_s,
@@ -65,7 +65,7 @@ fn gain_over_smoothing(
     without: &Model,
     left_out: &[f64],
 ) -> PairedComparison {
-    folds.paired_comparison(&folds.held_out_residuals(smooth, without), left_out)
+    folds.compare_paired(&folds.held_out_residuals(smooth, without), left_out)
 }
 
 /// Returns whether the first value of a term is how late a thermometer, or what it shows, is.

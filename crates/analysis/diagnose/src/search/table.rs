@@ -2,19 +2,19 @@
 //! decision of [`trueup_numerics::repeats`], the same that `trueup fit pitch` takes.
 
 use trueup_numerics::{
-    blocks::rms,
+    block_resampling::rms,
     repeats::{self, RepeatReading},
 };
 
 use crate::{
     fit::{FitProblem, FittedModel, fit},
-    gain::TermGain,
     model::Model,
     repeats::TargetPositions,
     search::{
-        criterion::degrees_of_freedom,
-        state::{AddedTerm, Search},
+        model_comparison::degrees_of_freedom,
+        search_state::{AddedTerm, Search},
     },
+    term_gain::TermGain,
     term_kind::{ModelPart, TermKind},
 };
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_campaigns::axis_trial::{AxisFileDefect, AxisTrial, TRAVEL_MM, TrialStep};
+use trueup_campaigns::axis_trial::{AXIS_TRAVEL_MM, AxisFileDefect, AxisTrial, TrialStep};
 use trueup_diagnose::{AxisRun, Diagnosis, NextRun, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -15,20 +15,20 @@ const DWELL_S: f64 = 5.0;
 const ENDS_MM: [f64; 2] = [50.0, 950.0];
 
 fn recorded(trial: &AxisTrial, acts: &[TrialStep], day: u64) -> RunFile {
-    let (csv, _) = trial.run(acts, day);
+    let (csv, _) = trial.simulate_day(acts, day);
     RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file")
 }
 
 /// Up and down over these targets, with a reading at each.
 fn there_and_back(targets_mm: &[f64], feed: f64) -> Vec<TrialStep> {
-    let read = |mm: &f64| [TrialStep::Go(*mm, feed), TrialStep::Read(DWELL_S)];
+    let read = |mm: &f64| [TrialStep::MoveTo(*mm, feed), TrialStep::Read(DWELL_S)];
     let up = targets_mm.iter().flat_map(read);
     let down = targets_mm.iter().rev().flat_map(read);
-    let [low, high] = TRAVEL_MM;
-    [TrialStep::Go(low, feed)]
+    let [low, high] = AXIS_TRAVEL_MM;
+    [TrialStep::MoveTo(low, feed)]
         .into_iter()
         .chain(up)
-        .chain([TrialStep::Go(high, feed)])
+        .chain([TrialStep::MoveTo(high, feed)])
         .chain(down)
         .collect()
 }
@@ -37,7 +37,7 @@ fn there_and_back(targets_mm: &[f64], feed: f64) -> Vec<TrialStep> {
 fn run_warm(minutes: f64) -> Vec<TrialStep> {
     let [low, high] = ENDS_MM;
     let strokes = (minutes * HEAT_FEED / (2.0 * (high - low))).ceil() as usize;
-    [TrialStep::Go(high, HEAT_FEED), TrialStep::Go(low, HEAT_FEED)].repeat(strokes)
+    [TrialStep::MoveTo(high, HEAT_FEED), TrialStep::MoveTo(low, HEAT_FEED)].repeat(strokes)
 }
 
 fn even(count: usize) -> Vec<f64> {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_campaigns::spindle_trial::{RATED_RPM, SpindleFileDefect, SpindleTrial};
+use trueup_campaigns::spindle_trial::{RATED_SPEED_RPM, SpindleFileDefect, SpindleTrial};
 use trueup_diagnose::{Diagnosis, NextRun, SpindleSegment, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -36,7 +36,7 @@ impl Tried for SpindleTrial {
 
     /// Returns a quarter of an hour at full speed, from cold: what a user has who begins.
     fn begun(&self) -> Diagnosis {
-        let first = recorded(self, &[at(RATED_RPM, 15.0)], 1);
+        let first = recorded(self, &[at(RATED_SPEED_RPM, 15.0)], 1);
         let machine =
             MachineFile::parse(&self.machine, Path::new("m.toml")).expect("a machine file");
         diagnose(&machine, &[first], &[], None, &mut |_, _| {}).expect("comparable")
@@ -49,9 +49,9 @@ impl Tried for SpindleTrial {
     /// Returns the cycles of ISO 230-3 for a spindle: one speed for four hours or a spectrum of speeds, then an hour of
     /// rest.
     fn fixed(&self) -> [RunFile; 2] {
-        let spectrum = [0.25, 0.5, 0.75, 1.0].map(|share| at(share * RATED_RPM, 60.0));
+        let spectrum = [0.25, 0.5, 0.75, 1.0].map(|share| at(share * RATED_SPEED_RPM, 60.0));
         let rest = at(0.0, 60.0);
-        let cycles = [vec![at(RATED_RPM, 240.0), rest], [&spectrum[..], &[rest]].concat()];
+        let cycles = [vec![at(RATED_SPEED_RPM, 240.0), rest], [&spectrum[..], &[rest]].concat()];
         cycles.map(|cycle| recorded(self, &cycle, 2))
     }
 }

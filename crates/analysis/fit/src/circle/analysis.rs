@@ -1,6 +1,6 @@
 //! One circle: searched, chosen, reported as causes.
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::block_resampling::rms;
 
 use super::{
     CircleResult, CircularDeviations,
@@ -15,7 +15,7 @@ use crate::report::ResidualStatistics;
 /// An axis that reverses takes up its play over a travel of its width: a step at once is not expected there.
 const BACKLASH_TRAVEL_FACTOR: f64 = 1.3;
 /// Rows whose means are held against the noise of single rows, in degrees.
-const BIN_WIDTH_DEG: f64 = 10.0;
+const ANGLE_BIN_WIDTH_DEG: f64 = 10.0;
 /// Variances of the means in those of noise from which on there is structure.
 const MIN_SYSTEMATIC_VARIANCE_RATIO: f64 = 3.0;
 /// Structure below this share of the noise matters to no part.
@@ -87,7 +87,7 @@ fn systematic_rms_um(record: &CircleRecord, left: &[f64]) -> Option<f64> {
     let mut at = 0;
     let per_deg = 57.3 * record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64;
     let step_deg = record.covered_arc_rad() * per_deg / record.rows.len() as f64;
-    let together = ((BIN_WIDTH_DEG / step_deg) as usize).max(3);
+    let together = ((ANGLE_BIN_WIDTH_DEG / step_deg) as usize).max(3);
     for pass in record.rows.chunk_by(|a, b| a.pass == b.pass) {
         let own = &left[at..at + pass.len()];
         at += pass.len();

@@ -13,7 +13,7 @@
 
 use std::f64::consts::TAU;
 
-use trueup_numerics::least_squares::normal::solve;
+use trueup_numerics::least_squares::normal_equations::solve;
 
 use super::{record::CircleRecord, term_selection::setup_columns, terms::CircleTerm};
 

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::TAU, ops::Range};
 
-use trueup_machine::{RunFile, file::LinearAxis};
+use trueup_machine::{RunFile, machine_file::LinearAxis};
 use trueup_numerics::{least_squares::GivensQr, robust};
 
 /// Returns centre and radius of the circle of least squares through the points.
@@ -36,12 +36,12 @@ pub(super) fn rotation_directions(
         return rows.iter().map(|row| if dir[*row] < 0.0 { -1.0 } else { 1.0 }).collect();
     }
     /// Rows ahead and behind by which the turn is known: positions that were measured tremble.
-    const NEIGHBOUR_ROWS: usize = 2;
+    const NEIGHBOUR_ROWS_PER_SIDE: usize = 2;
     let parts = split_at_jumps(angles);
     let by_order = |at: usize| {
         let part = &parts[parts.partition_point(|part| part.end <= at)];
-        let from = at.saturating_sub(NEIGHBOUR_ROWS).max(part.start);
-        let to = (at + NEIGHBOUR_ROWS).min(part.end - 1);
+        let from = at.saturating_sub(NEIGHBOUR_ROWS_PER_SIDE).max(part.start);
+        let to = (at + NEIGHBOUR_ROWS_PER_SIDE).min(part.end - 1);
         // Turn by turn: the sum may be more than half a circle.
         let turn = |pair: &[f64]| angle_difference(pair[0], pair[1]);
         let [behind, ahead] = [&angles[from..=at], &angles[at..=to]]

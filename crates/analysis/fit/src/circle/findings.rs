@@ -2,10 +2,10 @@
 
 use std::f64::consts::TAU;
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 
 use super::{
-    record::{CircleRecord, Plane},
+    record::{CirclePlane, CircleRecord},
     term_selection::{CrossValidatedTermGroup, FittedTerm, SelectedModel, TermGroup},
     terms::{CircleTerm, DriftParameter, WavePhase},
 };
@@ -88,7 +88,7 @@ pub struct CircleFinding {
     /// The cause.
     pub cause: CircleCause,
     /// The plane of the circle.
-    pub plane: Plane,
+    pub plane: CirclePlane,
     /// The axis in error; `None` where it is of both.
     pub axis: Option<LinearAxis>,
     /// The axis that moves, of a straightness.

@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use trueup_machine::{
-    InputFileError, Machine, RunFile, applied_offsets::applied_offsets_um, file::LinearAxis,
-    predict::Predictor,
+    InputFileError, Machine, RunFile, applied_offsets::applied_offsets_um,
+    machine_file::LinearAxis, predict::RunPredictor,
 };
 
 use super::record::{CircleRecord, RADIAL_DEVIATION_COLUMN};
-use crate::partial_prediction::{is_model_input, restrict_to_columns};
+use crate::partial_prediction::{is_model_input, restrict_to_available_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
 pub(crate) struct RadialReadings {
@@ -67,8 +67,9 @@ pub(crate) fn subtract_prediction(
         }
         let positions =
             |name: &str| LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()));
-        let (used, missing) =
-            restrict_to_columns(&own, |name| positions(name) || run.column(name).is_some());
+        let (used, missing) = restrict_to_available_columns(&own, |name| {
+            positions(name) || run.column(name).is_some()
+        });
         if !missing.is_empty() {
             warnings.push(format!(
                 "{}: what the machine file has of heat, spindle and added terms is not subtracted where it needs what the run lacks: {}",
@@ -77,7 +78,7 @@ pub(crate) fn subtract_prediction(
             ));
         }
         let stated = build_run_with_directions(record, run, &used, &rows)?;
-        let predictor = Predictor::new(&used, &stated)?;
+        let predictor = RunPredictor::new(&used, &stated)?;
         for (at, predicted) in rows.into_iter().zip(predictor.predictions()) {
             let row = &mut record.rows[at];
             let [u, v] = axes.map(|axis| predicted.model.error_um[axis.index()]);

@@ -6,7 +6,7 @@
 
 use trueup_machine::{
     Machine,
-    file::{
+    machine_file::{
         BSpline, Backlash, Feedback, LinearAxis, PitchErrorTable, Squareness,
         writer::{MachineFileEdit, NewSection, round_to_decimals},
     },
@@ -23,9 +23,9 @@ use crate::bspline;
 /// Digits after the point, in µm: the board's step is 1 nm.
 const MACHINE_FILE_DECIMALS: i32 = 3;
 /// Points of a table in a period of a cyclic error: lines between them leave 5 % of it.
-const POINTS_PER_PERIOD: f64 = 10.0;
+const TABLE_POINTS_PER_PERIOD: f64 = 10.0;
 /// The most points of a table that this fit writes.
-const MAX_POINTS: f64 = 2_000.0;
+const MAX_WRITTEN_TABLE_POINTS: f64 = 2_000.0;
 /// Turns of Kaczmarz's projections onto at most three differences.
 const KACZMARZ_ITERATIONS: usize = 200;
 
@@ -291,11 +291,11 @@ fn scales_um_per_m(circles: &[CircleResult]) -> [f64; 3] {
 }
 
 /// A wave: sine and cosine in µm, period in mm.
-type CyclicError = [f64; 3];
+type CyclicErrorParameters = [f64; 3];
 
 /// Returns the cyclic errors of an axis; one that several circles show is their mean.
-fn mean_cyclic_errors(circles: &[CircleResult], axis: LinearAxis) -> Vec<CyclicError> {
-    let mut all: Vec<(CyclicError, f64)> = Vec::new();
+fn mean_cyclic_errors(circles: &[CircleResult], axis: LinearAxis) -> Vec<CyclicErrorParameters> {
+    let mut all: Vec<(CyclicErrorParameters, f64)> = Vec::new();
     for (circle, at) in claimed_finding_indices(circles, CircleCause::CyclicError) {
         let finding = &circles[circle].findings[at];
         if finding.axis != Some(axis) {
@@ -327,7 +327,7 @@ fn build_pitch_table(
     axis: LinearAxis,
     there: Option<&PitchErrorTable>,
     scale_um_per_m: f64,
-    waves: &[CyclicError],
+    waves: &[CyclicErrorParameters],
 ) -> PitchErrorTable {
     let ends = circles.iter().filter_map(|circle| {
         let index = circle.record.plane.axes().iter().position(|candidate| *candidate == axis)?;
@@ -346,15 +346,18 @@ fn build_pitch_table(
         step = step.min(there.step_mm);
     }
     for [.., period_mm] in waves {
-        step = step.min(period_mm / POINTS_PER_PERIOD);
+        step = step.min(period_mm / TABLE_POINTS_PER_PERIOD);
     }
-    step = round_to_decimals(step.max((last - first) / MAX_POINTS), MACHINE_FILE_DECIMALS);
+    step = round_to_decimals(
+        step.max((last - first) / MAX_WRITTEN_TABLE_POINTS),
+        MACHINE_FILE_DECIMALS,
+    );
     let points = ((last - first) / step).ceil() as usize + 1;
     let middle = 0.5 * (of_circles[0] + of_circles[1]);
     let added = |mm: f64| {
         // Beyond the circles the ends are held.
         let mm = mm.clamp(of_circles[0], of_circles[1]);
-        let of_wave = |[sine, cosine, period]: &CyclicError| {
+        let of_wave = |[sine, cosine, period]: &CyclicErrorParameters| {
             let angle = std::f64::consts::TAU * mm / period;
             sine * angle.sin() + cosine * angle.cos()
         };

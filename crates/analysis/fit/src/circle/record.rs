@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 use trueup_numerics::robust;
 
 use super::circular_path::angle_difference;
@@ -13,7 +13,7 @@ pub(crate) const RADIAL_DEVIATION_COLUMN: &str = "measured_dr_um";
 
 /// The plane of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Plane {
+pub enum CirclePlane {
     /// X and Y (G17).
     Xy,
     /// Y and Z (G19).
@@ -22,7 +22,7 @@ pub enum Plane {
     Zx,
 }
 
-impl Plane {
+impl CirclePlane {
     /// Returns its axes, the angle counted from the first to the second.
     #[must_use]
     pub fn axes(self) -> [LinearAxis; 2] {
@@ -55,7 +55,7 @@ impl Plane {
 
 /// A reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CircleRow {
+pub struct CircleReading {
     /// The angle of the commanded position, in rad.
     pub angle: f64,
     /// +1 counter-clockwise, −1 clockwise.
@@ -82,13 +82,13 @@ pub struct CircleRow {
 #[derive(Clone, Debug)]
 pub struct CircleRecord {
     /// The plane.
-    pub plane: Plane,
+    pub plane: CirclePlane,
     /// The commanded centre.
     pub centre_mm: [f64; 2],
     /// The commanded radius.
     pub radius_mm: f64,
     /// The readings, in the order of the passes.
-    pub rows: Vec<CircleRow>,
+    pub rows: Vec<CircleReading>,
     /// Whether the clock is a time.
     pub has_time: bool,
     /// The first and the last clock.
@@ -104,7 +104,7 @@ pub struct CircleRecord {
 impl CircleRecord {
     /// Returns the share of the time at a row, −½…½.
     #[must_use]
-    pub(crate) fn relative_time(&self, row: &CircleRow) -> f64 {
+    pub(crate) fn relative_time(&self, row: &CircleReading) -> f64 {
         let [first, last] = self.clock;
         if last > first { (row.clock - first) / (last - first) - 0.5 } else { 0.0 }
     }
@@ -151,7 +151,7 @@ impl CircleRecord {
 
     /// Returns the record without the rows for which `is_out` holds.
     #[must_use]
-    pub(crate) fn without_rows(&self, is_out: impl Fn(&CircleRow) -> bool) -> Self {
+    pub(crate) fn without_rows(&self, is_out: impl Fn(&CircleReading) -> bool) -> Self {
         let mut rest = self.clone();
         rest.rows.retain(|row| !is_out(row));
         rest

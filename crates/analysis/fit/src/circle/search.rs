@@ -4,7 +4,7 @@
 //! candidate without its share in them. Periods lie between 2.5 steps of the readings and a fifth of the circle's double
 //! diameter: a longer one is a form of straightness.
 
-use trueup_numerics::least_squares::normal::{dot, solve};
+use trueup_numerics::least_squares::normal_equations::{dot, solve};
 
 use super::{
     record::CircleRecord,
@@ -13,9 +13,9 @@ use super::{
 };
 
 /// Minimum gain of a candidate, in variances of the residual: a wave by chance in 10⁻⁴ of circles.
-const MIN_GAIN_VARIANCES: f64 = 30.0;
+const MIN_GAIN_RESIDUAL_VARIANCES: f64 = 30.0;
 /// Rounds of a search, and of a look at each that was found.
-const MAX_ROUNDS: usize = 3;
+const MAX_SEARCH_ROUNDS: usize = 3;
 /// The most that is searched for.
 const MAX_SELECTED_CANDIDATES: usize = 9;
 /// Shapes whose sum is that of the spikes of an axis.
@@ -29,7 +29,7 @@ const MAX_FREQUENCIES: usize = 400;
 /// Candidates that are looked at closely.
 const MAX_REFINED_CANDIDATES: usize = 16;
 /// Widths of spikes at half their height, in degrees.
-const SPIKE_WIDTHS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0];
+const SPIKE_FWHMS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0];
 
 /// Terms that are searched for together.
 #[derive(Clone, Debug)]
@@ -54,7 +54,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
         })
         .collect();
     let mut found: Vec<TermCandidate> = Vec::new();
-    for _ in 0..MAX_ROUNDS {
+    for _ in 0..MAX_SEARCH_ROUNDS {
         let before = found.len();
         add_best_candidates(record, &candidates, &mut found);
         if found.len() == before {
@@ -74,7 +74,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
             let is_own = |candidate: &TermCandidate| {
                 candidate.unit == again.unit && matches!(candidate.unit, TermGroup::Spikes(_))
             };
-            let other = best_candidate(
+            let other = find_best_candidate(
                 &basis,
                 candidates.iter().filter(|(candidate, _)| is_own(candidate)),
             );
@@ -109,9 +109,9 @@ fn add_best_candidates(
     while found.len() < MAX_SELECTED_CANDIDATES {
         let free =
             candidates.iter().filter(|(candidate, _)| !is_already_found(record, found, candidate));
-        let Some((gain, candidate)) = best_candidate(&basis, free) else { return };
+        let Some((gain, candidate)) = find_best_candidate(&basis, free) else { return };
         let count = candidate.terms.len() as f64;
-        if gain < (MIN_GAIN_VARIANCES + 2.0 * (count - 2.0)) * basis.residual_variance() {
+        if gain < (MIN_GAIN_RESIDUAL_VARIANCES + 2.0 * (count - 2.0)) * basis.residual_variance() {
             return;
         }
         let candidate = refine_candidate(&basis, record, candidate);
@@ -121,7 +121,7 @@ fn add_best_candidates(
 }
 
 /// Returns the candidate that removes most, and how much.
-fn best_candidate<'c>(
+fn find_best_candidate<'c>(
     basis: &OrthogonalBasis,
     candidates: impl Iterator<Item = &'c CandidateColumns>,
 ) -> Option<(f64, &'c TermCandidate)> {
@@ -211,7 +211,7 @@ fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
         // A part of a circle does not have all reversals.
         let is_seen = |term: &CircleTerm| {
             let CircleTerm::Spike { is_positive, sense, .. } = *term else { return false };
-            let near = |row: &&super::record::CircleRow| {
+            let near = |row: &&super::record::CircleReading| {
                 let since = angle_since_reversal_rad(row, axis, is_positive);
                 row.sense * sense > 0.0 && (-width..2.0 * width).contains(&since)
             };
@@ -221,7 +221,7 @@ fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
         TermCandidate { unit: TermGroup::Spikes(axis), terms }
     };
     let widths =
-        SPIKE_WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|width| *width > 1.2 * step);
+        SPIKE_FWHMS_DEG.into_iter().map(f64::to_radians).filter(|width| *width > 1.2 * step);
     let all = widths.flat_map(|width| SpikeShape::ALL.map(|shape| (shape, width)));
     all.map(of).filter(|candidate| !candidate.terms.is_empty()).collect()
 }

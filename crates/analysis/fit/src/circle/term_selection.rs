@@ -6,8 +6,8 @@
 //! other cause in its place: one that predicts as well is an alternative.
 
 use trueup_numerics::{
-    blocks::rms,
-    least_squares::normal::{NormalSolution, dot, solve},
+    block_resampling::rms,
+    least_squares::normal_equations::{NormalSolution, dot, solve},
     noise::{self, NoiseModel, RowSpacings, Whitener},
 };
 
@@ -36,7 +36,7 @@ const ARCS_PER_PASS: usize = 12;
 /// Differences of BIC below this are none.
 const MIN_BIC_DIFFERENCE: f64 = 6.0;
 /// The largest number of a harmonic.
-pub(crate) const MAX_HARMONIC: u8 = 7;
+pub(crate) const MAX_HARMONIC_ORDER: u8 = 7;
 
 /// Terms that come and go together: one cause of one axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,7 +69,7 @@ impl TermGroup {
     }
 
     /// Returns whether terms leave it one by one.
-    fn has_separable_terms(&self) -> bool {
+    fn has_removable_terms(&self) -> bool {
         !matches!(self, Self::Cyclic(..) | Self::Spikes(_))
     }
 }
@@ -156,8 +156,8 @@ pub(crate) fn linear_columns(record: &CircleRecord) -> Vec<TermColumn> {
     // A harmonic needs rows, and on a part of a circle the higher ones are combinations of the others.
     let most = match () {
         () if record.covered_arc_rad() < 5.5 => 4,
-        () if record.rows.len() < 10 * usize::from(MAX_HARMONIC) => 5,
-        () => MAX_HARMONIC,
+        () if record.rows.len() < 10 * usize::from(MAX_HARMONIC_ORDER) => 5,
+        () => MAX_HARMONIC_ORDER,
     };
     for number in 3..=most {
         for wave in [WavePhase::Sine, WavePhase::Cosine] {
@@ -265,7 +265,7 @@ impl<'r> WhitenedFit<'r> {
                     let unit = &self.columns[at].unit;
                     let needed = if of_unit(unit) < self.caution * unit.min_t_value() {
                         unit.min_t_value()
-                    } else if unit.has_separable_terms() {
+                    } else if unit.has_removable_terms() {
                         MIN_HARMONIC_T_VALUE
                     } else {
                         0.0
@@ -278,7 +278,7 @@ impl<'r> WhitenedFit<'r> {
             let column = self.columns[at].clone();
             self.remove_columns(|other| {
                 other.unit == column.unit
-                    && (!column.unit.has_separable_terms() || other.term == column.term)
+                    && (!column.unit.has_removable_terms() || other.term == column.term)
             });
         }
     }

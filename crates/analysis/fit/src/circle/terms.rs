@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::record::{CircleRecord, CircleRow};
+use super::record::{CircleReading, CircleRecord};
 
 /// Half widths of a Gaussian: √(2·ln 2).
 const GAUSSIAN_HWHM_PER_STD: f64 = 1.177_410_022_515_474_6;
@@ -116,7 +116,7 @@ pub enum CircleTerm {
 impl CircleTerm {
     /// Returns the value of its column in a row.
     #[must_use]
-    pub fn evaluate(self, row: &CircleRow, record: &CircleRecord) -> f64 {
+    pub fn evaluate(self, row: &CircleReading, record: &CircleRecord) -> f64 {
         let (sin, cos) = row.angle.sin_cos();
         let along = |axis: usize| if axis == 0 { cos } else { sin };
         match self {
@@ -160,7 +160,7 @@ impl CircleTerm {
 }
 
 /// Returns +1 where the axis moves in the negative direction, else −1.
-fn backlash_sign(axis: usize, row: &CircleRow) -> f64 {
+fn backlash_sign(axis: usize, row: &CircleReading) -> f64 {
     let (sin, cos) = row.angle.sin_cos();
     let velocity = if axis == 0 { -sin } else { cos } * row.sense;
     if velocity < 0.0 { 1.0 } else { -1.0 }
@@ -168,7 +168,7 @@ fn backlash_sign(axis: usize, row: &CircleRow) -> f64 {
 
 /// Returns the angle that was travelled since a reversal of `axis`, negative ahead of it, in −π…π.
 #[must_use]
-pub(crate) fn angle_since_reversal_rad(row: &CircleRow, axis: usize, is_positive: bool) -> f64 {
+pub(crate) fn angle_since_reversal_rad(row: &CircleReading, axis: usize, is_positive: bool) -> f64 {
     let end = if is_positive { 0.0 } else { PI };
     let turned = row.sense * (row.angle - end - FRAC_PI_2 * axis as f64);
     turned - TAU * (turned / TAU).round()
@@ -177,7 +177,7 @@ pub(crate) fn angle_since_reversal_rad(row: &CircleRow, axis: usize, is_positive
 /// Returns the travel of `axis` behind its last reversal, in mm, at the row before: 0 within `step` of a reversal, in rad.
 #[must_use]
 pub(crate) fn travel_since_reversal_mm(
-    row: &CircleRow,
+    row: &CircleReading,
     axis: usize,
     radius_mm: f64,
     step: f64,

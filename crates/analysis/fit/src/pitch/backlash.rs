@@ -15,23 +15,23 @@
 use trueup_machine::{
     InputFileError,
     applied_offsets::UncompensatedRun,
-    file::writer::{MachineFileEdit, round_to_decimals},
-    file::{Backlash, Feedback, LinearAxis},
+    machine_file::writer::{MachineFileEdit, round_to_decimals},
+    machine_file::{Backlash, Feedback, LinearAxis},
 };
 
 use super::{
     PitchFitOptions,
     cross_validation::{fold_count, fold_index, is_significant_gain},
     feed_dependence,
+    pitch_report::{confidence_half_width, describe_folds, f_test_p_value},
+    pitch_table::TABLE_DECIMALS,
     readings::{FEED_COLUMN, PitchReadings, ReadingSelection, measured_column_name},
-    reversal_difference::{ReversalDifference, reversal_differences},
-    summary::{confidence_half_width, describe_folds, f_test_p_value},
-    table::TABLE_DECIMALS,
+    reversal_difference::{ReversalDifference, compute_reversal_differences},
 };
-use crate::report::{FitFact, FitParameter, FitReport, FitVerdict, ResidualStatistics};
+use crate::report::{FitDetail, FitParameter, FitReport, FitVerdict, ResidualStatistics};
 
 /// This many positions are a test of backlash, more are a sweep.
-const MAX_TEST_POSITIONS: usize = 3;
+const MAX_BACKLASH_TEST_POSITIONS: usize = 3;
 
 /// Below this probability a difference between positions is not chance.
 const SIGNIFICANCE_LEVEL: f64 = 0.05;
@@ -80,7 +80,7 @@ pub fn fit_backlash(
     };
     let mut readings = PitchReadings::from_run(run, &selection)?;
     let outliers = readings.exclude_gross_errors(run, axis);
-    let mut reversal_differences = reversal_differences(&readings);
+    let mut reversal_differences = compute_reversal_differences(&readings);
     if reversal_differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
         let rule = match readings.measured_directions() {
@@ -106,7 +106,7 @@ pub fn fit_backlash(
     let means: Vec<(f64, f64)> =
         by_target.iter().map(|(x, um)| (*x, um.iter().sum::<f64>() / um.len() as f64)).collect();
     let rule = match options.width {
-        BacklashWidthRule::Automatic if means.len() <= MAX_TEST_POSITIONS => {
+        BacklashWidthRule::Automatic if means.len() <= MAX_BACKLASH_TEST_POSITIONS => {
             BacklashWidthRule::Largest
         }
         BacklashWidthRule::Automatic => BacklashWidthRule::Mean,
@@ -121,10 +121,10 @@ pub fn fit_backlash(
         feed.add_to_report(&mut report, width_um);
     }
     let other = |rule| backlash_width_um(means.iter().map(|mean| mean.1), rule);
-    report.facts.push(FitFact::numbers("position_mm", means.iter().map(|mean| mean.0).collect()));
-    report.facts.push(FitFact::numbers("reversal_um", means.iter().map(|mean| mean.1).collect()));
-    report.facts.push(FitFact::number("largest_um", other(BacklashWidthRule::Largest)));
-    report.facts.push(FitFact::number("mean_um", other(BacklashWidthRule::Mean)));
+    report.facts.push(FitDetail::numbers("position_mm", means.iter().map(|mean| mean.0).collect()));
+    report.facts.push(FitDetail::numbers("reversal_um", means.iter().map(|mean| mean.1).collect()));
+    report.facts.push(FitDetail::number("largest_um", other(BacklashWidthRule::Largest)));
+    report.facts.push(FitDetail::number("mean_um", other(BacklashWidthRule::Mean)));
     let depends_on_position = p.is_some_and(|p| p < SIGNIFICANCE_LEVEL);
     if depends_on_position {
         let um = || means.iter().map(|mean| mean.1);
@@ -204,8 +204,8 @@ fn build_report(
         ResidualStatistics::from_residuals(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
     report.rows_used = readings.list.len();
     report.rows_incomplete = readings.rows_incomplete;
-    report.facts.push(FitFact::number("runs", readings.runs as f64));
-    report.facts.push(FitFact::text(
+    report.facts.push(FitDetail::number("runs", readings.runs as f64));
+    report.facts.push(FitDetail::text(
         "width_is",
         if rule == BacklashWidthRule::Largest {
             "the largest mean"

@@ -14,16 +14,16 @@
 //! nanometre is none: tables are written to the nanometre.
 
 use trueup_machine::{
-    file::PitchErrorTable,
-    file::writer::round_to_decimals,
+    machine_file::PitchErrorTable,
+    machine_file::writer::round_to_decimals,
     model::{is_negative_direction, pitch_error_um},
 };
 
 use trueup_numerics::{repeats, t_quantile};
 
 use super::{
+    pitch_table::{DirectionMeans, TABLE_DECIMALS, TableGrid},
     readings::{PitchReading, PitchReadings},
-    table::{DirectionMeans, TABLE_DECIMALS, TableGrid},
 };
 
 /// More runs than this are held out in blocks.

@@ -7,11 +7,11 @@
 
 use super::{
     PitchFitOptions,
+    pitch_report::{confidence_half_width, f_test_p_value},
     readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, PitchReadings},
     reversal_difference::ReversalDifference,
-    summary::{confidence_half_width, f_test_p_value},
 };
-use crate::report::{FitFact, FitReport};
+use crate::report::{FitDetail, FitReport};
 
 /// Below this probability a difference between feeds is not chance: the level of a claim.
 const SIGNIFICANCE_LEVEL: f64 = 0.01;
@@ -81,12 +81,13 @@ impl BacklashByFeed {
     /// Adds the widths by feed to the report, next to the width `width_um` that was taken.
     pub(crate) fn add_to_report(&self, report: &mut FitReport, width_um: f64) {
         let chosen = self.widths[self.chosen].0;
-        report.facts.push(FitFact::number("at_feed_mm_per_min", chosen));
+        report.facts.push(FitDetail::number("at_feed_mm_per_min", chosen));
         let there = || self.widths.iter().filter(|(_, um, _)| !um.is_nan());
-        report.facts.push(FitFact::numbers(FEED_COLUMN, there().map(|point| point.0).collect()));
-        report
-            .facts
-            .push(FitFact::numbers("reversal_at_feed_um", there().map(|point| point.1).collect()));
+        report.facts.push(FitDetail::numbers(FEED_COLUMN, there().map(|point| point.0).collect()));
+        report.facts.push(FitDetail::numbers(
+            "reversal_at_feed_um",
+            there().map(|point| point.1).collect(),
+        ));
         let each: Vec<String> = there()
             .map(|(feed, um, half)| {
                 let half = half.map_or(String::new(), |half| format!(" ± {half:.1}"));

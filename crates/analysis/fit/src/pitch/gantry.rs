@@ -7,11 +7,11 @@
 use trueup_machine::{
     InputFileError,
     applied_offsets::UncompensatedRun,
-    file::{Feedback, LinearAxis, SecondDrive},
+    machine_file::{Feedback, LinearAxis, SecondDrive},
 };
 
 use super::{PitchFit, PitchFitOptions, TableMode, fit};
-use crate::report::{FitFact, FitReport, FitVerdict};
+use crate::report::{FitDetail, FitReport, FitVerdict};
 
 /// How far from a drive a reading may be, as a share of the beam: the other drive then counts for as much.
 const MAX_DRIVE_DISTANCE_RATIO: f64 = 0.05;
@@ -108,7 +108,7 @@ pub fn fit_both_drives<E: From<InputFileError>>(
             report
         }
         (None, Some(second)) => {
-            let mut report = second_drive_report(second.report, axis);
+            let mut report = convert_to_second_drive_report(second.report, axis);
             report.warnings.push(format!(
                 "this run is of the second drive: the first one's table, [axis.{name}.pitch], and the backlash stay as they \
                  are; {}",
@@ -117,7 +117,7 @@ pub fn fit_both_drives<E: From<InputFileError>>(
             report
         }
         (Some(first), Some(second)) => {
-            merge_reports(first.report, second_drive_report(second.report, axis))
+            merge_reports(first.report, convert_to_second_drive_report(second.report, axis))
         }
         (None, None) => unreachable!("a run is of one of them"),
     })
@@ -159,7 +159,7 @@ fn second_drive_options(
 }
 
 /// Returns the report of the second drive's own table.
-fn second_drive_report(mut report: FitReport, axis: LinearAxis) -> FitReport {
+fn convert_to_second_drive_report(mut report: FitReport, axis: LinearAxis) -> FitReport {
     let pitch = format!("axis.{}.pitch", axis.name());
     report.edit.sections.retain(|section| section.name() == pitch);
     for section in &mut report.edit.sections {
@@ -180,7 +180,7 @@ fn merge_reports(mut first: FitReport, second: FitReport) -> FitReport {
         ("second_drive_in_sample_rms_um", second.in_sample),
         ("second_drive_left_out_rms_um", second.held_out),
     ] {
-        first.facts.extend(spread.map(|spread| FitFact::number(name, spread.rms_um)));
+        first.facts.extend(spread.map(|spread| FitDetail::number(name, spread.rms_um)));
     }
     first.rows_used += second.rows_used;
     match second.verdict {

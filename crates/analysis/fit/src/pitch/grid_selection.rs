@@ -10,18 +10,18 @@ use trueup_machine::model::pitch_error_um;
 use super::{
     PitchFitOptions,
     cross_validation::DirectionSums,
+    pitch_table::{DirectionMeans, TableGrid},
     readings::PitchReadings,
-    scatter::Scatter,
-    table::{DirectionMeans, TableGrid},
+    scatter::RepeatScatter,
 };
-use crate::report::{FitFact, FitReport};
+use crate::report::{FitDetail, FitReport};
 
 /// A table that loses no more than this share of the variance of the means is as good as they are.
-const MAX_VARIANCE_LOSS: f64 = 0.1;
+const MAX_VARIANCE_LOSS_FRACTION: f64 = 0.1;
 
 /// A table that loses no more than this share of the root mean square of the measured shape is as
 /// good, however well the axis repeats.
-const MAX_SHAPE_LOSS: f64 = 0.01;
+const MAX_SHAPE_LOSS_FRACTION: f64 = 0.01;
 
 /// Returns the points of the table.
 pub(super) fn choose_table_grid(
@@ -34,19 +34,20 @@ pub(super) fn choose_table_grid(
     let lines = [0, 1].map(|way| sums.direction_means(targets, way));
     let lines: Vec<&DirectionMeans> = lines.iter().filter(|line| !line.points.is_empty()).collect();
     let most = options.most_points.max(2);
-    let equal = TableGrid::from_equal_steps(targets).filter(|grid| grid.points <= most);
+    let equal = TableGrid::from_equally_spaced_targets(targets).filter(|grid| grid.points <= most);
     if let (None, Some(grid)) = (options.step_mm, equal) {
         return grid;
     }
-    let scatter = Scatter::from_targets(&readings.values_by_target());
-    let of_means_um = MAX_VARIANCE_LOSS.sqrt() * scatter.standard_error_um().unwrap_or(0.0);
-    let enough_um = of_means_um.max(MAX_SHAPE_LOSS * scatter.shape_um);
+    let scatter = RepeatScatter::from_targets(&readings.values_by_target());
+    let of_means_um =
+        MAX_VARIANCE_LOSS_FRACTION.sqrt() * scatter.standard_error_um().unwrap_or(0.0);
+    let enough_um = of_means_um.max(MAX_SHAPE_LOSS_FRACTION * scatter.shape_um);
     let (grid, loss_um) = match options.step_mm {
         Some(step_mm) => {
             let grid = TableGrid::with_step(targets, step_mm);
             (grid, grid.rms_loss_um(&lines))
         }
-        None if targets.len() > most => best_cross_validated_grid(readings, most, &lines),
+        None if targets.len() > most => select_grid_by_cross_validation(readings, most, &lines),
         None => {
             let mut best = (TableGrid::with_point_count(targets, 2), f64::INFINITY);
             for points in 2..=most {
@@ -62,7 +63,7 @@ pub(super) fn choose_table_grid(
             best
         }
     };
-    report.facts.push(FitFact::number("resampling_loss_um", loss_um));
+    report.facts.push(FitDetail::number("resampling_loss_um", loss_um));
     if loss_um > enough_um && targets.len() <= most {
         report.warnings.push(format!(
             "the targets are not at equal distances; a table of {} points every {} mm misses the measured means by {loss_um:.3} µm rms. Their scatter allows {enough_um:.3} µm",
@@ -74,7 +75,7 @@ pub(super) fn choose_table_grid(
 
 /// For a record of more positions than a table may have points: the number of points with the
 /// least error on every second cell, fitted to the others.
-fn best_cross_validated_grid(
+fn select_grid_by_cross_validation(
     readings: &PitchReadings,
     most: usize,
     lines: &[&DirectionMeans],

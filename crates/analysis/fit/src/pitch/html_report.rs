@@ -1,12 +1,12 @@
 //! The figures of ISO 230-2 of an axis as a page, with picture: what is filed after a calibration.
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 use trueup_page::{
-    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+    Chart, ChartSeries, ColourRole, HtmlPage, HtmlTable, Provenance, format_micrometres,
 };
 
 use crate::{
-    iso230::{ApproachStatistics, Iso230Results, TargetResults},
+    iso230_2::{ApproachStatistics, Iso230Results, TargetResults},
     report::FitReport,
 };
 
@@ -18,10 +18,10 @@ pub fn build_page(
     report: &FitReport,
     iso230: &Iso230Results,
     origin: &Provenance,
-) -> Page {
+) -> HtmlPage {
     let name = axis.name().to_uppercase();
     let mut page =
-        Page::new(&format!("{name}: accuracy and repeatability of positioning, ISO 230-2"));
+        HtmlPage::new(&format!("{name}: accuracy and repeatability of positioning, ISO 230-2"));
     if let Some(both) = &iso230.both {
         page.add_key_figures(&[
             (format_micrometres(both.accuracy_um), "A, bi-directional accuracy".into(), "before"),
@@ -174,7 +174,7 @@ fn target_table(iso230: &Iso230Results) -> HtmlTable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::iso230::TargetReadings;
+    use crate::iso230_2::TargetReadings;
 
     #[test]
     fn the_page_has_the_figures_of_both_directions_the_picture_and_the_origin() {

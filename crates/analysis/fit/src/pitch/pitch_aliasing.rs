@@ -19,18 +19,18 @@ const COMMON_PITCHES_MM: [f64; 17] =
 const MAX_ALIASED_AMPLITUDE_RATIO: f64 = 0.1;
 
 /// Fewer targets have one phase by chance.
-const MIN_TARGETS: usize = 3;
+const MIN_ALIASING_TARGETS: usize = 3;
 
 /// Returns the likely pitches, in mm, of which `targets_mm` show next to nothing.
 ///
 /// ```
-/// use trueup_fit::pitch::aliased_pitches;
-/// assert_eq!(aliased_pitches(&[0.0, 5.0, 10.0, 15.0]), [1.0, 2.5, 5.0]);
-/// assert!(aliased_pitches(&[0.0, 5.3, 10.7, 14.6]).is_empty());
+/// use trueup_fit::pitch::find_aliased_pitches;
+/// assert_eq!(find_aliased_pitches(&[0.0, 5.0, 10.0, 15.0]), [1.0, 2.5, 5.0]);
+/// assert!(find_aliased_pitches(&[0.0, 5.3, 10.7, 14.6]).is_empty());
 /// ```
 #[must_use]
-pub fn aliased_pitches(targets_mm: &[f64]) -> Vec<f64> {
-    if targets_mm.len() < MIN_TARGETS {
+pub fn find_aliased_pitches(targets_mm: &[f64]) -> Vec<f64> {
+    if targets_mm.len() < MIN_ALIASING_TARGETS {
         return Vec::new();
     }
     let span = targets_mm.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b))
@@ -59,13 +59,13 @@ mod tests {
     #[test]
     fn multiples_of_a_pitch_hide_it_wherever_they_start() {
         let targets: Vec<f64> = (0..9).map(|n| 3.7 + 20.0 * f64::from(n)).collect();
-        assert_eq!(aliased_pitches(&targets), [1.0, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0]);
+        assert_eq!(find_aliased_pitches(&targets), [1.0, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0]);
     }
 
     #[test]
     fn uneven_steps_show_every_pitch() {
         let targets = [0.0, 23.1, 38.7, 62.9, 79.2, 103.6, 117.9, 142.3];
-        assert!(aliased_pitches(&targets).is_empty());
+        assert!(find_aliased_pitches(&targets).is_empty());
     }
 
     #[test]
@@ -74,8 +74,8 @@ mod tests {
         let targets = |scatter: f64| -> Vec<f64> {
             (0..7).map(|n| 10.0 * n as f64 + scatter * 10.0 * jitter[n]).collect()
         };
-        assert!(aliased_pitches(&targets(0.01)).contains(&10.0));
-        assert!(!aliased_pitches(&targets(0.1)).contains(&10.0));
+        assert!(find_aliased_pitches(&targets(0.01)).contains(&10.0));
+        assert!(!find_aliased_pitches(&targets(0.1)).contains(&10.0));
     }
 
     #[test]

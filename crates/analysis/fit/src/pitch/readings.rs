@@ -11,7 +11,7 @@
 use std::{borrow::Cow, collections::HashMap};
 
 use trueup_machine::{
-    InputFileError, applied_offsets::UncompensatedRun, file::LinearAxis,
+    InputFileError, applied_offsets::UncompensatedRun, machine_file::LinearAxis,
     model::is_negative_direction,
 };
 use trueup_numerics::repeats::{self, find_gross_errors, group_positions};
@@ -23,7 +23,7 @@ pub(super) const FEED_COLUMN: &str = "feed_mm_per_min";
 /// Feeds nearer than this share are one, as speeds of a spindle are.
 pub(super) const FEED_RELATIVE_TOLERANCE: f64 = 0.02;
 /// More positions than this are gathered in cells.
-pub(super) const MAX_TARGETS: usize = 2048;
+pub(super) const MAX_UNBINNED_TARGETS: usize = 2048;
 
 /// One measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +73,7 @@ pub(super) struct ReadingSelection<'a> {
 }
 
 /// A row that has all its values.
-struct RawRow {
+struct CompleteRow {
     row: usize,
     position_mm: f64,
     way: usize,
@@ -84,7 +84,7 @@ struct RawRow {
 }
 
 /// The names of an axis's columns.
-struct ColumnNames {
+struct AxisColumnNames {
     position: String,
     direction: String,
     measured: String,
@@ -105,7 +105,7 @@ impl PitchReadings {
         selection: &ReadingSelection<'_>,
     ) -> Result<Self, InputFileError> {
         let axis = selection.axis.name();
-        let names = ColumnNames {
+        let names = AxisColumnNames {
             position: format!("{axis}_mm"),
             direction: format!("dir_{axis}"),
             measured: measured_column_name(selection.axis),
@@ -126,7 +126,7 @@ impl PitchReadings {
         }
         let (targets_mm, target_of_row, is_record) = assign_targets(&rows);
         if !is_record {
-            check_duplicates(file, &names, &rows, &target_of_row)?;
+            check_for_duplicate_readings(file, &names, &rows, &target_of_row)?;
             if selection.in_order {
                 check_position_order(file, &names, &rows, &target_of_row)?;
             }
@@ -248,9 +248,9 @@ fn column_with_unit<'f>(
 
 fn collect_raw_rows(
     file: &UncompensatedRun<'_>,
-    names: &ColumnNames,
+    names: &AxisColumnNames,
     selection: &ReadingSelection<'_>,
-) -> Result<(Vec<RawRow>, usize), InputFileError> {
+) -> Result<(Vec<CompleteRow>, usize), InputFileError> {
     let axis = selection.axis.name();
     let measured = column_with_unit(file, &format!("measured_d{axis}"), "um")?;
     let positions = column_with_unit(file, axis, "mm")?;
@@ -294,7 +294,7 @@ fn collect_raw_rows(
             return Err(file.value_error(row, &names.measured, rule));
         }
         let way = usize::from(is_negative_direction(direction));
-        rows.push(RawRow { row, position_mm, way, run, feed, um: um - known });
+        rows.push(CompleteRow { row, position_mm, way, run, feed, um: um - known });
     }
     Ok((rows, rows_incomplete))
 }
@@ -309,8 +309,9 @@ fn monotonic_direction(positions_mm: &[f64]) -> Option<f64> {
 }
 
 /// Returns the smallest step from row to row within a sweep; `None` where no sweep has two positions.
-fn smallest_step_mm(rows: &[RawRow]) -> Option<f64> {
-    let same_sweep = |a: &RawRow, b: &RawRow| a.way == b.way && (a.run == b.run || a.run.is_nan());
+fn smallest_step_mm(rows: &[CompleteRow]) -> Option<f64> {
+    let same_sweep =
+        |a: &CompleteRow, b: &CompleteRow| a.way == b.way && (a.run == b.run || a.run.is_nan());
     rows.windows(2)
         .filter_map(|pair| match pair {
             [a, b] if same_sweep(a, b) => Some((b.position_mm - a.position_mm).abs()),
@@ -321,27 +322,27 @@ fn smallest_step_mm(rows: &[RawRow]) -> Option<f64> {
 }
 
 /// Returns the targets in mm, rising; the target of each position; whether they are cells of a record.
-fn assign_targets(rows: &[RawRow]) -> (Vec<f64>, Vec<usize>, bool) {
+fn assign_targets(rows: &[CompleteRow]) -> (Vec<f64>, Vec<usize>, bool) {
     let positions: Vec<f64> = rows.iter().map(|raw| raw.position_mm).collect();
     let (targets, target_of) = group_positions(&positions, smallest_step_mm(rows).unwrap_or(0.0));
     let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
         return (targets, target_of, false);
     };
-    if targets.len() <= MAX_TARGETS {
+    if targets.len() <= MAX_UNBINNED_TARGETS {
         return (targets, target_of, false);
     }
     // The mean of each cell that has a position.
-    let mut cells = vec![(0.0, 0.0); MAX_TARGETS];
+    let mut cells = vec![(0.0, 0.0); MAX_UNBINNED_TARGETS];
     let cell = |position: f64| {
         let share = (position - start) / (end - start);
-        ((share * MAX_TARGETS as f64).max(0.0) as usize).min(MAX_TARGETS - 1)
+        ((share * MAX_UNBINNED_TARGETS as f64).max(0.0) as usize).min(MAX_UNBINNED_TARGETS - 1)
     };
     for &position in &positions {
         let (sum, count) = &mut cells[cell(position)];
         *sum += position;
         *count += 1.0;
     }
-    let mut number = vec![0; MAX_TARGETS];
+    let mut number = vec![0; MAX_UNBINNED_TARGETS];
     let mut targets = Vec::new();
     for (cell, (sum, count)) in cells.into_iter().enumerate().filter(|(_, (_, n))| *n > 0.0) {
         number[cell] = targets.len();
@@ -351,7 +352,7 @@ fn assign_targets(rows: &[RawRow]) -> (Vec<f64>, Vec<usize>, bool) {
 }
 
 /// Numbers the runs of a file without the column, from 1.
-fn assign_run_numbers(rows: &mut [RawRow], target_of_row: &[usize], is_record: bool) {
+fn assign_run_numbers(rows: &mut [CompleteRow], target_of_row: &[usize], is_record: bool) {
     let mut arrivals: HashMap<(usize, usize, u64), usize> = HashMap::new();
     let mut comes_again = false;
     for (raw, &target) in rows.iter_mut().zip(target_of_row) {
@@ -378,8 +379,8 @@ fn assign_run_numbers(rows: &mut [RawRow], target_of_row: &[usize], is_record: b
     }
 }
 
-fn half_range_mm(rows: &[RawRow]) -> f64 {
-    let ends = |(low, high): (f64, f64), raw: &RawRow| {
+fn half_range_mm(rows: &[CompleteRow]) -> f64 {
+    let ends = |(low, high): (f64, f64), raw: &CompleteRow| {
         (low.min(raw.position_mm), high.max(raw.position_mm))
     };
     let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
@@ -396,10 +397,10 @@ fn direction_name(way: usize) -> &'static str {
 }
 
 /// Within a run a position is measured once in each direction.
-fn check_duplicates(
+fn check_for_duplicate_readings(
     file: &UncompensatedRun<'_>,
-    names: &ColumnNames,
-    rows: &[RawRow],
+    names: &AxisColumnNames,
+    rows: &[CompleteRow],
     target_of_row: &[usize],
 ) -> Result<(), InputFileError> {
     let mut seen: HashMap<(usize, usize, u64, u64), usize> = HashMap::with_capacity(rows.len());
@@ -426,17 +427,17 @@ fn check_duplicates(
 /// travel, begins the next sweep.
 fn check_position_order(
     file: &UncompensatedRun<'_>,
-    names: &ColumnNames,
-    rows: &[RawRow],
+    names: &AxisColumnNames,
+    rows: &[CompleteRow],
     target_of_row: &[usize],
 ) -> Result<(), InputFileError> {
     let is_numbered = file.column("run").is_some();
     let half = half_range_mm(rows);
     let mut seen: HashMap<(usize, usize), ()> = HashMap::new();
-    let mut before: Option<&RawRow> = None;
+    let mut before: Option<&CompleteRow> = None;
     // By direction: whether a row follows in order, and the first two that do not.
     let mut in_order = [false; 2];
-    let mut out_of_order: [Option<(&RawRow, &RawRow)>; 2] = [None; 2];
+    let mut out_of_order: [Option<(&CompleteRow, &CompleteRow)>; 2] = [None; 2];
     for (raw, &target) in rows.iter().zip(target_of_row) {
         let is_new = seen.insert((target, raw.way), ()).is_none();
         if let Some(before) = before.filter(|before| before.way == raw.way) {

@@ -12,7 +12,7 @@ pub(super) struct ReversalDifference {
 }
 
 /// Pairs the readings of a position in a run.
-pub(super) fn reversal_differences(readings: &PitchReadings) -> Vec<ReversalDifference> {
+pub(super) fn compute_reversal_differences(readings: &PitchReadings) -> Vec<ReversalDifference> {
     let mut order: Vec<_> = readings.list.iter().collect();
     order.sort_by_key(|reading| (reading.target, reading.feed, reading.run, reading.way));
     // Of a record with several readings in a cell, the neighbours.

@@ -2,7 +2,7 @@
 
 /// The scatter of repeats and the shape of the means.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Scatter {
+pub(super) struct RepeatScatter {
     /// The standard deviation of readings at one target in one direction, in µm, over all of them;
     /// `None` without repeats.
     pub repeats_um: Option<f64>,
@@ -12,7 +12,7 @@ pub(super) struct Scatter {
     readings_a_mean: f64,
 }
 
-impl Scatter {
+impl RepeatScatter {
     /// Of the readings at each target, by direction.
     pub(super) fn from_targets(by_target: &[[Vec<f64>; 2]]) -> Self {
         let groups: Vec<&Vec<f64>> =
@@ -54,7 +54,8 @@ mod tests {
         // Means 1, 3, 5 and 7, each of two readings one off: s² = 2·4/4 = 2, the mean's s² = 1;
         // the means' mean square about 4 is 5.
         let pair = |mean: f64| vec![mean - 1.0, mean + 1.0];
-        let scatter = Scatter::from_targets(&[[pair(1.0), pair(3.0)], [pair(5.0), pair(7.0)]]);
+        let scatter =
+            RepeatScatter::from_targets(&[[pair(1.0), pair(3.0)], [pair(5.0), pair(7.0)]]);
         assert_eq!(scatter.repeats_um, Some(2_f64.sqrt()));
         assert!((scatter.shape_um - 5_f64.sqrt()).abs() < 1e-12);
         assert!((scatter.systematic_rms_um() - 2.0).abs() < 1e-12);
@@ -62,7 +63,7 @@ mod tests {
 
     #[test]
     fn without_repeats_all_of_the_shape_is_taken_for_systematic() {
-        let scatter = Scatter::from_targets(&[[vec![1.0], vec![]], [vec![3.0], vec![]]]);
+        let scatter = RepeatScatter::from_targets(&[[vec![1.0], vec![]], [vec![3.0], vec![]]]);
         assert_eq!((scatter.repeats_um, scatter.shape_um), (None, 1.0));
         assert_eq!(scatter.systematic_rms_um(), 1.0);
     }

@@ -2,12 +2,12 @@
 //! [module](super) states.
 
 use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
 use super::{
     FitMethod, MAX_COEFFICIENTS, MAX_KNOTS_WITHOUT_GAIN, ResidualSummary, StopReason,
     StraightnessFitOptions,
-    knots::{CUBIC_ORDER, KnotSearch, RequiredSites},
+    knot_placement::{CUBIC_ORDER, KnotSearch, RequiredSites},
     paper_method,
     sites::Sites,
 };
@@ -71,7 +71,7 @@ impl SelectedSpline {
             path.try_knots(&at.inner, CUBIC_ORDER);
             if path.is_near_tolerance() {
                 for inner in search.minimax_starts(&at) {
-                    path.try_within_tolerance(&inner);
+                    path.try_knots_within_tolerance(&inner);
                 }
             }
             if path.is_converged() {
@@ -190,7 +190,7 @@ impl<'s> SelectionPath<'s> {
     }
 
     /// As many knots as the newest fit has, elsewhere: is it within the tolerance with them?
-    fn try_within_tolerance(&mut self, inner: &[f64]) {
+    fn try_knots_within_tolerance(&mut self, inner: &[f64]) {
         let [first, last] = self.sites.end_positions();
         let knots = clamped_knots(CUBIC_ORDER, first, &round_knots(inner, first, last), last);
         let fit = fit_least_squares_spline(knots, CUBIC_ORDER, self.sites.points());
@@ -208,8 +208,9 @@ impl<'s> SelectionPath<'s> {
 
     /// Returns whether further knots are of no use.
     fn is_converged(&self) -> bool {
-        let is_noise =
-            || self.best.as_ref().is_some_and(|best| !self.is_autocorrelated(&best.spline));
+        let is_noise = || {
+            self.best.as_ref().is_some_and(|best| !self.has_autocorrelated_residuals(&best.spline))
+        };
         self.is_within_sound
             || self.is_exact
             || (self.since >= MAX_KNOTS_WITHOUT_GAIN && is_noise())
@@ -217,7 +218,7 @@ impl<'s> SelectionPath<'s> {
 
     /// Returns whether what a curve leaves goes on from one site to the next: von Neumann's ratio of the
     /// mean square of successive differences to the variance is 2 for noise, and smaller then.
-    fn is_autocorrelated(&self, spline: &BSpline) -> bool {
+    fn has_autocorrelated_residuals(&self, spline: &BSpline) -> bool {
         /// The 1 % point of the normal distribution.
         const NORMAL_QUANTILE_99: f64 = 2.326;
         let left = self.cells.residuals(spline);

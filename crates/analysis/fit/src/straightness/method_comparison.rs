@@ -148,17 +148,17 @@ pub(super) fn fit_models(fit: &StraightnessFit) -> Vec<(CurveMethod, CurveModel)
 }
 
 /// Returns how the largest residual falls as points join by the paper's way: control points, and µm.
-pub(super) fn paper_residual_steps(fit: &StraightnessFit) -> Vec<(usize, f64)> {
+pub(super) fn paper_method_residual_steps(fit: &StraightnessFit) -> Vec<(usize, f64)> {
     paper_method::fit(
         &fit.sites.merge_neighbours(MAX_KNOT_SEARCH_SITES),
-        paper_tolerance_um(fit),
+        paper_method_tolerance_um(fit),
         paper_method::ControlValueRule::Readings,
     )
     .steps
 }
 
 /// Returns what the paper's rule takes for its ε: the tolerance, else what the fit has left.
-fn paper_tolerance_um(fit: &StraightnessFit) -> f64 {
+fn paper_method_tolerance_um(fit: &StraightnessFit) -> f64 {
     fit.tolerance_um.unwrap_or(fit.residual.largest_um)
 }
 
@@ -173,7 +173,7 @@ fn fit_model(fit: &StraightnessFit, way: CurveMethod, sites: &Sites) -> CurveMod
         CurveModel::Spline(
             paper_method::fit(
                 &sites.merge_neighbours(MAX_KNOT_SEARCH_SITES),
-                paper_tolerance_um(fit),
+                paper_method_tolerance_um(fit),
                 control,
             )
             .spline,

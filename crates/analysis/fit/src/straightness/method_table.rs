@@ -8,13 +8,13 @@
 
 mod html_report;
 
-use trueup_machine::{InputFileError, applied_offsets::UncompensatedRun, file::LinearAxis};
+use trueup_machine::{InputFileError, applied_offsets::UncompensatedRun, machine_file::LinearAxis};
 use trueup_page::Provenance;
 
 use super::{
     CurveMethod, ResidualSummary, StraightnessCurve, StraightnessFit, StraightnessFitError,
     StraightnessFitOptions, fit_straightness_run,
-    method_comparison::{fit_models, paper_residual_steps},
+    method_comparison::{fit_models, paper_method_residual_steps},
     model::CurveModel,
     run_fit::{error_axis, error_column_name, moving_axes},
     sites::Sites,
@@ -25,7 +25,7 @@ const REFERENCE_LENGTH_MM: f64 = 1000.0;
 /// A diagonal is straight to this share of its length.
 const DIAGONAL_STRAIGHTNESS_TOLERANCE: f64 = 1e-3;
 /// Places at which a speed is drawn, and a curvature looked for.
-const EVALUATION_POINTS: u32 = 800;
+const EVALUATION_INTERVALS: u32 = 800;
 
 /// The request: the quantity, the fit of the curves, the feed and the cycle.
 #[derive(Clone, Debug)]
@@ -168,7 +168,7 @@ fn build_curve_entry(
         positions: sites.len(),
         without: ResidualError::from_residuals(sites, &sites.y),
         rows: rows.collect(),
-        steps: paper_residual_steps(curve.fit()),
+        steps: paper_method_residual_steps(curve.fit()),
     }
 }
 
@@ -216,7 +216,7 @@ impl DiagonalRun<'_> {
             })
             .collect::<Result<_, _>>()?;
         let PathReadings { mut sites, starts_mm, cosines } = self.path_readings(&bad)?;
-        sites.subtract_reference(options.options.reference);
+        sites.subtract_reference_line(options.options.reference);
         let mut rows = Vec::new();
         for way in CurveMethod::ALL {
             let mut shares = Vec::new();
@@ -345,8 +345,8 @@ fn evaluate_method(
     let [first, last] = sites.end_positions();
     let mut speed = Vec::new();
     let mut curvature_most = 0.0_f64;
-    for n in 0..=EVALUATION_POINTS {
-        let at = first + (last - first) * f64::from(n) / f64::from(EVALUATION_POINTS);
+    for n in 0..=EVALUATION_INTERVALS {
+        let at = first + (last - first) * f64::from(n) / f64::from(EVALUATION_INTERVALS);
         let each = shares.iter().map(|share| share.slope_and_curvature(at));
         let [slope, curvature] = each.fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
         speed.push([at, slope * feed_mm_per_s]);

@@ -1,6 +1,6 @@
 //! A curve as each of the [ways](super::CurveMethod) has it: value, slope, curvature, and the corners of lines.
 
-use trueup_machine::{file::BSpline, model::spline_value_um};
+use trueup_machine::{machine_file::BSpline, model::spline_value_um};
 use trueup_numerics::least_squares::GivensQr;
 
 use super::{residual::ResidualSummary, sites::Sites};
@@ -147,9 +147,9 @@ impl ChebyshevSeries {
     }
 
     fn max_slope_and_curvature(&self) -> (f64, f64) {
-        const EVALUATION_POINTS: u32 = 500;
-        (0..=EVALUATION_POINTS).fold((0.0_f64, 0.0_f64), |(slope, curvature), n| {
-            let share = f64::from(n) / f64::from(EVALUATION_POINTS);
+        const EVALUATION_INTERVALS: u32 = 500;
+        (0..=EVALUATION_INTERVALS).fold((0.0_f64, 0.0_f64), |(slope, curvature), n| {
+            let share = f64::from(n) / f64::from(EVALUATION_INTERVALS);
             let at = self.ends[0] + share * (self.ends[1] - self.ends[0]);
             let [_, first, second] = self.value_and_derivatives(at);
             (slope.max(first.abs()), curvature.max(second.abs()))

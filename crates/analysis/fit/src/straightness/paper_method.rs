@@ -12,9 +12,9 @@
 //! all points taken: then the way has failed, and says so. With the control values by least squares
 //! in the same knots it does much better; that is in the comparison too.
 
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
-use super::{knots::CUBIC_ORDER, sites::Sites};
+use super::{knot_placement::CUBIC_ORDER, sites::Sites};
 use crate::bspline::{clamped_knots, fit_least_squares_spline};
 
 /// Points of largest curvature to begin with.
@@ -45,7 +45,7 @@ pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: ControlValueRule) -
     let last = sites.len() - 1;
     let mut is_chosen = vec![false; sites.len()];
     (is_chosen[0], is_chosen[last]) = (true, true);
-    for site in curvature_maxima(sites) {
+    for site in find_curvature_maxima(sites) {
         is_chosen[site] = true;
     }
     // A cubic has four control points at least.
@@ -84,7 +84,7 @@ pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: ControlValueRule) -
 }
 
 /// Returns the points whose curvature is above both neighbours', the largest first.
-fn curvature_maxima(sites: &Sites) -> Vec<usize> {
+fn find_curvature_maxima(sites: &Sites) -> Vec<usize> {
     let (x, y) = (&sites.x, &sites.y);
     let curvature = |n: usize| {
         let slope = |a: usize, b: usize| (y[b] - y[a]) / (x[b] - x[a]);

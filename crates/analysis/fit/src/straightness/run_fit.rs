@@ -3,7 +3,7 @@
 use trueup_machine::{
     InputFileError, Location,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, Straightness},
+    machine_file::{LinearAxis, Straightness},
 };
 
 use super::{StraightnessFit, StraightnessFitError, StraightnessFitOptions, fit};

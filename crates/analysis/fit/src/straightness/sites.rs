@@ -3,7 +3,7 @@
 //! Readings at one position differ by noise alone, so their scatter about the mean is an estimate
 //! of the noise that no curve has a part in.
 
-use trueup_machine::file::BSpline;
+use trueup_machine::machine_file::BSpline;
 
 use super::{ReferenceLine, StraightnessFitError};
 
@@ -102,7 +102,7 @@ impl Sites {
     }
 
     /// Degrees of freedom of the scatter within sites.
-    pub(super) fn within_degrees_of_freedom(&self) -> usize {
+    pub(super) fn within_site_degrees_of_freedom(&self) -> usize {
         self.rows - self.len()
     }
 
@@ -113,7 +113,7 @@ impl Sites {
     }
 
     /// Takes a reference line away from all readings, and says which.
-    pub(super) fn subtract_reference(&mut self, reference: ReferenceLine) -> StraightLine {
+    pub(super) fn subtract_reference_line(&mut self, reference: ReferenceLine) -> StraightLine {
         let last = self.len() - 1;
         let line = match reference {
             ReferenceLine::AsMeasured => return StraightLine::default(),
@@ -162,7 +162,7 @@ impl Sites {
         let weight: Vec<f64> = take(&self.weight);
         let rows = weight.iter().sum::<f64>() as usize;
         // The scatter within is shared out by degrees of freedom.
-        let freedom = self.within_degrees_of_freedom().max(1) as f64;
+        let freedom = self.within_site_degrees_of_freedom().max(1) as f64;
         let within = self.within * (rows - weight.len()) as f64 / freedom;
         Self { x: take(&self.x), y: take(&self.y), weight, within, rows }
     }

@@ -4,21 +4,21 @@
 //! Tried are a kink (three rows, the middle one searched) and tables of equal steps. The bend is found at rest
 //! of the lag: the lag that lines need can be the shape of the bend, so it is tried with less of it, and none.
 
-use trueup_machine::file::ThermalMode;
+use trueup_machine::machine_file::ThermalMode;
 
-use super::{ThermalData, table};
+use super::{ThermalData, thermal_table};
 use crate::{lagged_regression::LaggedFit, pooled_rows, report::ResidualStatistics};
 
 /// Held-out rows must be this share better than with lines: beyond the measured temperatures a table is
 /// held where a line goes on, and that is given up for no small gain.
-const MIN_HELD_OUT_GAIN: f64 = 0.2;
+const MIN_RELATIVE_HELD_OUT_GAIN: f64 = 0.2;
 /// The same where a part of the record alone has some of the temperatures, so that only single rows can be held
 /// out: what changed in that part would pass for a bend.
-const MIN_UNREPEATED_GAIN: f64 = 0.5;
+const MIN_RELATIVE_UNREPEATED_GAIN: f64 = 0.5;
 /// More rows than the best table are worth this share.
-const MIN_EXTRA_ROW_GAIN: f64 = 0.05;
+const MIN_RELATIVE_EXTRA_ROW_GAIN: f64 = 0.05;
 /// The search looks at no more rows than these; the table that is found is fitted to all.
-const MAX_ROWS: usize = 20_000;
+const MAX_SEARCHED_ROWS: usize = 20_000;
 /// Rows for each of a table's values.
 const MIN_ROWS_PER_VALUE: usize = 6;
 /// Where a kink is tried first: this many equal parts between the coldest and the warmest.
@@ -44,10 +44,10 @@ pub(super) fn find_piecewise_linear_law(
 ) -> Option<PiecewiseLinearLaw> {
     let groups = groups.filter(|_| lines.held_out.is_some());
     let by_groups = search_best_law(data, mode, groups, lines.lag_s)
-        .map(|found| (found, lines.held_out.as_deref(), MIN_HELD_OUT_GAIN));
+        .map(|found| (found, lines.held_out.as_deref(), MIN_RELATIVE_HELD_OUT_GAIN));
     let once = || {
         search_best_law(data, mode, None, lines.lag_s)
-            .map(|found| (found, Some(lines.residuals.as_slice()), MIN_UNREPEATED_GAIN))
+            .map(|found| (found, Some(lines.residuals.as_slice()), MIN_RELATIVE_UNREPEATED_GAIN))
     };
     let is_once = by_groups.is_none() || groups.is_none();
     let ((rms_um, bend), lines_um, worth) = by_groups.or_else(once)?;
@@ -64,7 +64,7 @@ fn search_best_law(
 ) -> Option<(f64, PiecewiseLinearLaw)> {
     let used: Vec<usize> = (0..data.y.len()).filter(|row| !data.y[*row].is_nan()).collect();
     let rows: Vec<usize> =
-        used.iter().copied().step_by(used.len().div_ceil(MAX_ROWS).max(1)).collect();
+        used.iter().copied().step_by(used.len().div_ceil(MAX_SEARCHED_ROWS).max(1)).collect();
     let pick =
         |of: &[f64]| -> Vec<f64> { rows.iter().filter_map(|row| of.get(*row)).copied().collect() };
     let groups: Option<Vec<usize>> = groups.map(|of| rows.iter().map(|row| of[*row]).collect());
@@ -88,7 +88,7 @@ fn search_best_law(
         }
     }
     let best = found.iter().map(|(rms_um, _)| *rms_um).min_by(f64::total_cmp)?;
-    found.retain(|(rms_um, _)| *rms_um <= (1.0 + MIN_EXTRA_ROW_GAIN) * best);
+    found.retain(|(rms_um, _)| *rms_um <= (1.0 + MIN_RELATIVE_EXTRA_ROW_GAIN) * best);
     found.sort_by(|a, b| a.1.knots_c.len().cmp(&b.1.knots_c.len()).then(a.0.total_cmp(&b.0)));
     found.into_iter().next()
 }
@@ -115,7 +115,7 @@ impl FixedLagData<'_> {
     }
 
     fn design_columns(&self, knots_c: &[f64]) -> Vec<Vec<f64>> {
-        table::design_columns(&self.lagged_c, self.arm_m, self.mode, knots_c)
+        thermal_table::design_columns(&self.lagged_c, self.arm_m, self.mode, knots_c)
     }
 
     /// Returns the best kink: by sixteenths first, then around the best of them.

@@ -1,8 +1,8 @@
 //! The section of the machine file, and what the report says of its constants.
 
 use trueup_machine::{
-    file::writer::NewSection,
-    file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
+    machine_file::writer::NewSection,
+    machine_file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
 };
 
 use crate::{elongation::section_comment, report::FitReport};

@@ -8,8 +8,8 @@ use trueup_machine::Machine;
 use super::{
     error_parameters::ErrorParameters,
     kinematics::ForwardKinematics,
+    nuisance_parameters::{NuisanceParameter, SetupCentroids, nuisance_sensitivities},
     reading::{ReadingKind, VolumeReading, dot},
-    setup::{NuisanceParameter, SetupCentres, nuisance_sensitivities},
 };
 
 /// The columns of all readings.
@@ -32,7 +32,7 @@ impl DesignMatrix {
     pub fn new(machine: &Machine, constants: ErrorParameters, readings: &[VolumeReading]) -> Self {
         let chain = machine.volume.chain.as_ref().expect("was checked");
         let frame = ForwardKinematics::new(machine, chain);
-        let centres = SetupCentres::from_readings(readings, &frame);
+        let centres = SetupCentroids::from_readings(readings, &frame);
         let of_rows: Vec<Vec<(NuisanceParameter, f64)>> = readings
             .iter()
             .map(|reading| nuisance_sensitivities(reading, &frame, &centres))

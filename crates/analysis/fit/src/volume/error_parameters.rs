@@ -9,17 +9,17 @@ use std::fmt;
 
 use trueup_machine::{
     Machine,
-    file::{
+    machine_file::{
         AngleProfile, AngularErrorMotion, BSpline, LinearAxis, RotaryAxis, RotaryLocationErrors,
         Straightness,
     },
     model::volumetric_error_um,
 };
 
-use super::{modes::SplineModes, reading::Pose};
+use super::{reading::Pose, spline_modes::SplineModes};
 
 /// An axis that moves less, in mm, has no errors to be found.
-const MIN_TRAVEL_MM: f64 = 5.0;
+const MIN_AXIS_TRAVEL_MM: f64 = 5.0;
 
 /// An error by its name in ISO 230-1 or ISO 230-7.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -137,7 +137,7 @@ impl ErrorParameters {
         let modes = [0, 1, 2].map(|n| {
             let at = || poses.iter().map(|pose| pose.position_mm[n]);
             let ends = [at().fold(f64::INFINITY, f64::min), at().fold(f64::MIN, f64::max)];
-            (ends[1] - ends[0] > MIN_TRAVEL_MM).then(|| SplineModes::new(ends))
+            (ends[1] - ends[0] > MIN_AXIS_TRAVEL_MM).then(|| SplineModes::new(ends))
         });
         let errors = possible_errors(machine, &modes);
         let mut all = Vec::new();
@@ -154,8 +154,9 @@ impl ErrorParameters {
                 }
             }
         }
-        let units =
-            errors.iter().filter_map(|error| Some((*error, unit_error_machine(machine, *error)?)));
+        let units = errors
+            .iter()
+            .filter_map(|error| Some((*error, machine_with_unit_error(machine, *error)?)));
         Self { all, modes, units: units.collect() }
     }
 
@@ -248,7 +249,9 @@ fn possible_errors(machine: &Machine, modes: &[Option<SplineModes>; 3]) -> Vec<G
         GeometricError::Squareness(error, along) => moves(*error) && moves(*along),
         _ => error.motion_axis().is_none_or(moves),
     });
-    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes) {
+    for axis in
+        machine.volume.chain.iter().flat_map(trueup_machine::machine_file::AxisChain::rotary_axes)
+    {
         let shifts = LinearAxis::ALL.into_iter().filter(|other| other.index() != axis.index());
         errors.extend(shifts.map(|along| GeometricError::Shift(along, axis)));
         errors.extend(RotaryAxis::ALL.map(|about| GeometricError::Tilt(about, axis)));
@@ -257,7 +260,7 @@ fn possible_errors(machine: &Machine, modes: &[Option<SplineModes>; 3]) -> Vec<G
 }
 
 /// Returns a machine with 1 µrad or 1 µm of an error, and no other.
-fn unit_error_machine(machine: &Machine, error: GeometricError) -> Option<Machine> {
+fn machine_with_unit_error(machine: &Machine, error: GeometricError) -> Option<Machine> {
     let mut own = machine.clone();
     let volume = &mut own.volume;
     volume.angular.clear();

@@ -1,15 +1,15 @@
 //! The page of a volume: what is known of each error, its curve with the 95 % interval, and what to measure next.
 
 use trueup_page::{
-    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+    Chart, ChartSeries, ColourRole, HtmlPage, HtmlTable, Provenance, format_micrometres,
 };
 
 use super::{VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind};
 
 /// Returns the page of a report.
 #[must_use]
-pub fn build_page(report: &VolumeReport, origin: &Provenance) -> Page {
-    let mut page = Page::new("The errors of the volume, ISO 230-1 and 230-7");
+pub fn build_page(report: &VolumeReport, origin: &Provenance) -> HtmlPage {
+    let mut page = HtmlPage::new("The errors of the volume, ISO 230-1 and 230-7");
     let acting: Vec<&ErrorAssessment> =
         report.known.iter().filter(|assessment| assessment.acts).collect();
     let known = acting.iter().filter(|assessment| assessment.is_known).count();

@@ -6,14 +6,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{DMatrix, DVector};
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 use super::{
     design_matrix::{DesignMatrix, NormalEquationsByKind, normal_equations},
+    empirical_bayes::{Posterior, Variances, compute_posterior},
     error_parameters::{ErrorPart, GeometricError},
-    estimate::{Posterior, Variances, compute_posterior},
+    nuisance_parameters::SetupUncertainty,
     reading::{CirclePosition, Pose, VolumeReading},
-    setup::SetupUncertainty,
 };
 
 /// Share of the standard deviation before the measurement that may be left of a known error.
@@ -132,7 +132,7 @@ pub(crate) fn assess_errors(
     observability: &(Variances, Posterior),
     readings: &[VolumeReading],
 ) -> Vec<ErrorAssessment> {
-    let acting = acting_constants(design, readings);
+    let acting = influential_constant_mask(design, readings);
     let judged = design.constants.distinct_errors().into_iter().map(|error| {
         let open = remaining_std_ratio(design, error, observability);
         let own = design.constants.indices_of_error(error);
@@ -184,7 +184,7 @@ fn is_significant(found: &Posterior, own: &[usize]) -> bool {
 }
 
 /// Returns which constants move the tip where it was read, with those tools or a longer one.
-fn acting_constants(design: &DesignMatrix, readings: &[VolumeReading]) -> Vec<bool> {
+fn influential_constant_mask(design: &DesignMatrix, readings: &[VolumeReading]) -> Vec<bool> {
     let constants = design.constants.clone();
     let mut acting = vec![false; constants.all.len()];
     for reading in readings {
@@ -258,7 +258,7 @@ pub fn cross_validate(
 ) -> HeldOutResult {
     let places: Vec<[i64; 5]> = readings.iter().map(location_key).collect();
     let distinct: BTreeSet<[i64; 5]> = places.iter().copied().collect();
-    let mut random = Generator::new(CROSS_VALIDATION_SEED);
+    let mut random = RandomGenerator::new(CROSS_VALIDATION_SEED);
     let blocks: BTreeMap<[i64; 5], usize> = distinct
         .into_iter()
         .map(|at| (at, random.uniform_index(CROSS_VALIDATION_BLOCKS)))

@@ -1,6 +1,6 @@
 //! Directions and places on the workpiece and on the tool, along the machine's axes.
 
-use trueup_machine::{Machine, file::AxisChain, model::rotate_about_axis};
+use trueup_machine::{Machine, machine_file::AxisChain, model::rotate_about_axis};
 
 use super::reading::Pose;
 

@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 
-use trueup_machine::{Machine, file::RotaryAxis};
+use trueup_machine::{Machine, machine_file::RotaryAxis};
 
 use super::{
     design_matrix::{DesignMatrix, normal_equations},
@@ -13,8 +13,8 @@ use super::{
         remaining_std_ratio,
     },
     kinematics::ForwardKinematics,
+    nuisance_parameters::SetupUncertainty,
     reading::{CirclePosition, Pose, ReadingKind, VolumeReading, dot},
-    setup::SetupUncertainty,
 };
 
 /// The least part of what is open that a measurement must take away to be proposed without settling it.
@@ -127,7 +127,8 @@ fn candidate_tests(
         all.push(CandidateTest { text, readings: plate_readings(&place, tool_mm) });
     }
     let chain = machine.volume.chain.as_ref();
-    let rotary = chain.map(trueup_machine::file::AxisChain::rotary_axes).unwrap_or_default();
+    let rotary =
+        chain.map(trueup_machine::machine_file::AxisChain::rotary_axes).unwrap_or_default();
     if let Some(chain) = chain.filter(|_| !rotary.is_empty()) {
         let frame = ForwardKinematics::new(machine, chain);
         let middle = place([0.5; 3], [0.0; 3], tool_mm);
@@ -259,12 +260,13 @@ fn sphere_readings(
     rotary: &[RotaryAxis],
     middle: &Pose,
 ) -> Vec<VolumeReading> {
-    const ANGLES_DEG: [f64; 6] = [-90.0, -45.0, 0.0, 30.0, 60.0, 90.0];
+    const ROTARY_TEST_ANGLES_DEG: [f64; 6] = [-90.0, -45.0, 0.0, 30.0, 60.0, 90.0];
     let own = frame.tip_on_workpiece_mm(middle);
     let mut readings = Vec::new();
-    let others: &[f64] = if rotary.len() > 1 { &ANGLES_DEG } else { &ANGLES_DEG[..1] };
+    let others: &[f64] =
+        if rotary.len() > 1 { &ROTARY_TEST_ANGLES_DEG } else { &ROTARY_TEST_ANGLES_DEG[..1] };
     for longer in [0.0, TOOL_LENGTH_DIFFERENCE_MM] {
-        for first in ANGLES_DEG {
+        for first in ROTARY_TEST_ANGLES_DEG {
             for other in others {
                 let mut pose = Pose { tool_mm: middle.tool_mm + longer, ..*middle };
                 pose.angle_deg[rotary[0].index()] = first;

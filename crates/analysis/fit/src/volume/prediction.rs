@@ -2,10 +2,12 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::{InputFileError, Machine, RunFile, file::LinearAxis, predict::Predictor};
+use trueup_machine::{
+    InputFileError, Machine, RunFile, machine_file::LinearAxis, predict::RunPredictor,
+};
 
 use super::reading::Pose;
-use crate::partial_prediction::{is_model_input, restrict_to_columns};
+use crate::partial_prediction::{is_model_input, restrict_to_available_columns};
 
 /// A pose, the row of the run that it comes from, and the directions of approach.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +38,7 @@ pub(crate) fn predict_errors_um(
         axes.into_iter().any(|axis| name == format!("{axis}_mm") || name == format!("{axis}_deg"))
     };
     let (mut used, missing) =
-        restrict_to_columns(machine, |name| is_pose(name) || run.column(name).is_some());
+        restrict_to_available_columns(machine, |name| is_pose(name) || run.column(name).is_some());
     if !missing.is_empty() {
         warnings.push(format!(
             "{}: what the machine file has of heat, spindle and added terms is not subtracted where it needs what the run lacks: {}",
@@ -52,7 +54,7 @@ pub(crate) fn predict_errors_um(
     let mut predicted = vec![[0.0; 3]; stated.len()];
     for length_mm in lengths {
         used.volume.tool.length_mm = length_mm;
-        let predictor = Predictor::new(&used, &stated_run)?;
+        let predictor = RunPredictor::new(&used, &stated_run)?;
         for ((into, it), of) in predicted.iter_mut().zip(stated).zip(predictor.predictions()) {
             if it.pose.tool_mm == length_mm {
                 *into = of.model.error_um;

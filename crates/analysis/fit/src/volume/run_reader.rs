@@ -13,7 +13,7 @@
 use trueup_machine::{
     InputFileError, Location, Machine, RunFile,
     applied_offsets::applied_offsets_um,
-    file::{LinearAxis, RotaryAxis},
+    machine_file::{LinearAxis, RotaryAxis},
 };
 
 use super::{
@@ -32,7 +32,7 @@ const MAX_READINGS_PER_PASS: usize = 180;
 /// The alignment of a square, in the place of an axis.
 const SQUARE_ALIGNMENT_CODE: u64 = 4;
 /// Fewer readings are no measurement of a volume.
-pub(crate) const MIN_READINGS: usize = 24;
+pub(crate) const MIN_VOLUME_READINGS: usize = 24;
 
 /// Returns the readings of `runs` without what `machine` predicts. `is_certified`: the form of a straight edge is right.
 ///
@@ -64,9 +64,9 @@ pub fn read(
         }));
     }
     let start = runs.first().map_or_else(|| "".as_ref(), RunFile::path);
-    if readings.len() < MIN_READINGS {
+    if readings.len() < MIN_VOLUME_READINGS {
         let rule = format!(
-            "{} readings in all runs: {MIN_READINGS} are needed. A row has x_mm, y_mm, z_mm and one of {}, {DIAGONAL_COLUMN}, {RADIAL}",
+            "{} readings in all runs: {MIN_VOLUME_READINGS} are needed. A row has x_mm, y_mm, z_mm and one of {}, {DIAGONAL_COLUMN}, {RADIAL}",
             readings.len(),
             COMPONENT_COLUMNS.join(", ")
         );
@@ -99,8 +99,11 @@ impl<'r> RunColumns<'r> {
             *values = run.require_column(&format!("{}_mm", axis.name()))?;
         }
         let angle_deg = RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name())));
-        for axis in
-            machine.volume.chain.iter().flat_map(trueup_machine::file::AxisChain::rotary_axes)
+        for axis in machine
+            .volume
+            .chain
+            .iter()
+            .flat_map(trueup_machine::machine_file::AxisChain::rotary_axes)
         {
             if angle_deg[axis.index()].is_none() {
                 warnings.push(format!(
@@ -180,10 +183,10 @@ fn read_rows(
     };
     let directions =
         |row: usize| columns.direction.map(|direction| direction.map_or(1.0, |values| values[row]));
-    read_components(run, (file, is_certified), &columns, &mut setups, |component| {
+    read_component_readings(run, (file, is_certified), &columns, &mut setups, |component| {
         add(component, directions(component.source[1]));
     });
-    read_diagonals(run, file, &columns, &mut setups, &mut |component| {
+    read_diagonal_readings(run, file, &columns, &mut setups, &mut |component| {
         add(component, directions(component.source[1]))
     })?;
     read_circles(run, file, machine, &columns, &mut setups, &mut add)?;
@@ -199,7 +202,7 @@ fn read_rows(
 }
 
 /// Adds balls and readings in one direction.
-fn read_components(
+fn read_component_readings(
     run: &RunFile,
     (file, is_certified): (usize, bool),
     columns: &RunColumns<'_>,
@@ -307,7 +310,7 @@ fn sole_moving_axis(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> Opti
     (0..3).find(|along| (0..3).all(|axis| is_still(axis, *along)))
 }
 
-fn read_diagonals(
+fn read_diagonal_readings(
     run: &RunFile,
     file: usize,
     columns: &RunColumns<'_>,

@@ -6,7 +6,7 @@
 
 use trueup_machine::{
     Machine,
-    file::{
+    machine_file::{
         AngleProfile, BSpline, LinearAxis, PitchErrorTable, RotaryAxis, Squareness,
         writer::{MachineFileEdit, NewSection, round_to_decimals},
     },
@@ -22,7 +22,7 @@ use crate::bspline;
 /// Digits after the point: the board's step is 1 nm.
 const MACHINE_FILE_DECIMALS: i32 = 3;
 /// Steps of a table over the travel: lines between them leave nothing of a smooth form.
-const TABLE_STEPS: usize = 64;
+const TABLE_INTERVALS: usize = 64;
 /// The most points of a table.
 const MAX_TABLE_POINTS: usize = 2_000;
 /// An error that is smaller, in µm, µm/m or µrad, is not written.
@@ -48,7 +48,7 @@ pub(crate) fn build_edit(
         sections: Vec::new(),
         written: Vec::new(),
     };
-    out.write_positions(warnings);
+    out.write_positioning_errors(warnings);
     out.write_straightness();
     out.write_squareness();
     if let Some(points_mm) = points_mm {
@@ -119,7 +119,7 @@ impl SectionWriter<'_> {
         }
     }
 
-    fn write_positions(&mut self, warnings: &mut Vec<String>) {
+    fn write_positioning_errors(&mut self, warnings: &mut Vec<String>) {
         for axis in LinearAxis::ALL {
             let error = GeometricError::Position(axis);
             let Some(curve) = self.error_spline(error) else { continue };
@@ -274,7 +274,7 @@ impl SectionWriter<'_> {
 fn add_curve_to_table(curve: &BSpline, there: Option<&PitchErrorTable>) -> PitchErrorTable {
     let ends = [curve.knots_mm[0], curve.knots_mm[curve.knots_mm.len() - 1]];
     let (mut first, mut last) = (ends[0], ends[1]);
-    let mut step = (last - first) / TABLE_STEPS as f64;
+    let mut step = (last - first) / TABLE_INTERVALS as f64;
     if let Some(there) = there {
         let end = there.start_mm + there.step_mm * (there.forward_um.len() as f64 - 1.0);
         (first, last) = (first.min(there.start_mm), last.max(end));

@@ -3,7 +3,7 @@
 //! It is the model's own state, `trueup_machine::model::WarmupState`, stepped through the rows, so
 //! that what is fitted and what is predicted later cannot differ.
 
-use trueup_machine::{file::Warmup, model::WarmupState};
+use trueup_machine::{machine_file::Warmup, model::WarmupState};
 
 use trueup_numerics::least_squares::{
     NonlinearFit, SeparableModel, SolverOptions, fit_separable, separable::geometric_sequence,

@@ -7,7 +7,7 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::pitch::{BacklashFit, PitchFitOptions, fit_backlash};
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 
 /// Three places, seven times, at each feed with its width; noise of 0.3 µm.
 fn run(widths: &[(f64, f64)], seed: u64) -> String {

@@ -5,7 +5,7 @@
 use std::{collections::BTreeSet, path::Path};
 
 use trueup_fit::circle::{CircleCause, CircleFinding, CircleReport, CircleVerdict, fit_circles};
-use trueup_machine::{Machine, MachineFile, RunFile, file::LinearAxis};
+use trueup_machine::{Machine, MachineFile, RunFile, machine_file::LinearAxis};
 
 use crate::circle_drawn::{CircleFault, Drawn};
 

@@ -7,7 +7,7 @@ use crate::support::{
     unaided,
 };
 use trueup_fit::{FitVerdict, elongation};
-use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::ElongationSource};
+use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, machine_file::ElongationSource};
 use trueup_measured_data::find_measured_file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
@@ -15,7 +15,7 @@ const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\ns
 
 fn fit(run: UncompensatedRun<'_>, text: &str) -> trueup_fit::FitReport {
     let machine = machine(text);
-    elongation::fit_elongation(&[run], Some(&machine), &elongation::ElongationOptions::default())
+    elongation::fit_elongation(&[run], Some(&machine), &elongation::ElongationFitOptions::default())
         .expect("a fit")
 }
 
@@ -92,7 +92,7 @@ fn without_a_machine_file_the_section_alone_is_written_and_loads() {
     let report = elongation::fit_elongation(
         std::slice::from_ref(&run),
         None,
-        &elongation::ElongationOptions::default(),
+        &elongation::ElongationFitOptions::default(),
     );
     let report = report.expect("a fit");
     let text = format!("{MACHINE}[spindle]\nsource = \"sensor\"\n{}", report.edit.to_toml());
@@ -171,7 +171,7 @@ fn an_amplitude_that_may_be_zero_is_not_written() {
     for input in ["sensor_counts", "temp_frame_c"] {
         let run = run(&[(input, &[20.0, 21.0, 22.0, 23.0]), ("measured_elongation_um", &measured)]);
         let report =
-            elongation::fit_elongation(&[run], None, &elongation::ElongationOptions::default())
+            elongation::fit_elongation(&[run], None, &elongation::ElongationFitOptions::default())
                 .expect("a fit");
         let FitVerdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
         assert!(reasons[0].contains("(-16 to 31): 0 is within the interval"), "{reasons:?}");
@@ -183,9 +183,9 @@ fn an_amplitude_that_may_be_zero_is_not_written() {
 fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
     let Some(path) = measured("spindle_sjtu/run.csv") else { return };
     let run = unaided(RunFile::read(&path).expect("a run file"));
-    let options = elongation::ElongationOptions {
+    let options = elongation::ElongationFitOptions {
         temperature: Some("temp_t0_c".into()),
-        ..elongation::ElongationOptions::default()
+        ..elongation::ElongationFitOptions::default()
     };
     let report =
         elongation::fit_elongation(std::slice::from_ref(&run), None, &options).expect("a fit");
@@ -198,7 +198,7 @@ fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
 
 #[test]
 fn bad_input_is_named_with_its_place_and_rule() {
-    let options = elongation::ElongationOptions::default();
+    let options = elongation::ElongationFitOptions::default();
     let error = |text: &str, machine_text: Option<&str>| {
         let machine = machine_text.map(machine);
         elongation::fit_elongation(&[parse(text)], machine.as_ref(), &options)

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use trueup_fit::{FitReport, elongation, pitch, straightness, straightness_report, thermal};
 use trueup_machine::{
-    MachineFile, RunFile, applied_offsets::UncompensatedRun, compile, file::LinearAxis,
+    MachineFile, RunFile, applied_offsets::UncompensatedRun, compile, machine_file::LinearAxis,
 };
 use trueup_store::calibration::calibration_crc;
 
@@ -48,7 +48,7 @@ fn fit_backlash(run: &UncompensatedRun<'_>) -> FitReport {
 
 fn fit_growth(run: &UncompensatedRun<'_>, text: &str) -> FitReport {
     let machine = MachineFile::parse(text, Path::new("m.toml")).expect("the test's own");
-    let options = elongation::ElongationOptions::default();
+    let options = elongation::ElongationFitOptions::default();
     elongation::fit_elongation(std::slice::from_ref(run), Some(&machine), &options).expect("a fit")
 }
 

@@ -8,12 +8,12 @@ use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     FitVerdict,
     pitch::{BacklashWidthRule, PitchFit, PitchFitOptions, TableMode, fit, fit_backlash},
-    report::FitFactValue,
+    report::FitDetailValue,
 };
 use trueup_machine::{
     applied_offsets::UncompensatedRun,
-    file::{Feedback, LinearAxis},
-    predict::Predictor,
+    machine_file::{Feedback, LinearAxis},
+    predict::RunPredictor,
 };
 
 const X: LinearAxis = LinearAxis::X;
@@ -50,7 +50,7 @@ fn one_table_and_the_backlash_are_found_from_uneven_targets() {
     assert!(fit.pitch.as_ref().is_some_and(|pitch| pitch.reverse_um.is_none()));
     // What is predicted is the truth to about the standard error of a mean, 0.5/√10 µm.
     let machine = machine_of(&fit.report.edit);
-    let predictor = Predictor::new(&machine, &run).expect("the run has what it needs");
+    let predictor = RunPredictor::new(&machine, &run).expect("the run has what it needs");
     let column = |name| run.column(name).expect("written above");
     let truth = column("x_mm").iter().zip(column("dir_x"));
     let off: Vec<f64> = predictor
@@ -177,7 +177,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
     let loss = |fit: &PitchFit| {
         let fact = fit.report.facts.iter().find(|fact| fact.name == "resampling_loss_um");
         match fact.expect("uneven targets are resampled").value {
-            FitFactValue::Number(um) => um,
+            FitDetailValue::Number(um) => um,
             _ => panic!("a number"),
         }
     };

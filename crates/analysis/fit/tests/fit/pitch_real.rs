@@ -12,7 +12,7 @@ use trueup_fit::{
 use trueup_machine::{
     RunFile,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, writer::MachineFileEdit},
+    machine_file::{LinearAxis, writer::MachineFileEdit},
 };
 
 /// Returns the run of this name, `None` (and a line that says so) where the data are not there.

@@ -2,7 +2,7 @@
 
 use crate::pitch_support::run_of;
 use trueup_fit::pitch::{PitchFitOptions, TableMode, fit, fit_backlash};
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 
 fn error(text: &str, ways: TableMode) -> String {
     let options = PitchFitOptions { ways, ..PitchFitOptions::default() };

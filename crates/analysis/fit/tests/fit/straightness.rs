@@ -13,7 +13,7 @@ use trueup_fit::{
     },
 };
 use trueup_machine::{
-    RunFile, applied_offsets::UncompensatedRun, file::BSpline, model::spline_value_um,
+    RunFile, applied_offsets::UncompensatedRun, machine_file::BSpline, model::spline_value_um,
 };
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {

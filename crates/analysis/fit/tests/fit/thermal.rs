@@ -3,11 +3,11 @@
 use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, unaided,
 };
-use trueup_fit::{FitReport, FitVerdict, report::FitFactValue, thermal};
+use trueup_fit::{FitReport, FitVerdict, report::FitDetailValue, thermal};
 use trueup_machine::{
     RunFile,
     applied_offsets::UncompensatedRun,
-    file::{LinearAxis, ThermalMode},
+    machine_file::{LinearAxis, ThermalMode},
 };
 use trueup_measured_data::find_measured_file as measured;
 
@@ -309,7 +309,7 @@ fn a_cold_regime_is_a_bend_and_no_gross_error() {
     println!("{:?}", report.held_out);
     assert!(report.held_out.expect("blocks").rms_um < 0.6);
     let rows = report.facts.iter().find(|fact| fact.name == "table_c").expect("a table");
-    let FitFactValue::Numbers(rows) = &rows.value else { panic!("{rows:?}") };
+    let FitDetailValue::Numbers(rows) = &rows.value else { panic!("{rows:?}") };
     assert!(rows.len() == 3 && (rows[1] - 12.0).abs() < 0.5, "{rows:?}");
 }
 
@@ -336,7 +336,7 @@ fn a_kink_over_the_temperature_is_found_and_a_line_stays_a_line() {
         assert!(left_um < 0.95, "{left_um}");
         let rows = report.facts.iter().find(|fact| fact.name == "table_c");
         let count = rows.map_or(0, |fact| match &fact.value {
-            FitFactValue::Numbers(rows) => rows.len(),
+            FitDetailValue::Numbers(rows) => rows.len(),
             _ => 0,
         });
         assert_eq!(count, rows_of_table);

@@ -7,7 +7,7 @@ use crate::support::{
 use trueup_fit::{FitReport, FitVerdict, warmup};
 use trueup_machine::{
     applied_offsets::UncompensatedRun,
-    file::{ElongationSource, Warmup},
+    machine_file::{ElongationSource, Warmup},
     model::{WarmupState, warmup_elongation_um},
 };
 

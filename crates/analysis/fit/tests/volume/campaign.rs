@@ -131,7 +131,7 @@ fn volumetric_um(machine: &Drawn, poses: &[At], errors: &[[f64; 3]]) -> f64 {
         });
         columns.push(column.collect());
     }
-    let columns = trueup_numerics::least_squares::normal::orthonormalise(columns);
+    let columns = trueup_numerics::least_squares::normal_equations::orthonormalise(columns);
     let mut left: Vec<f64> = errors.iter().flatten().copied().collect();
     for column in &columns {
         let share: f64 = column.iter().zip(&left).map(|(a, b)| a * b).sum();

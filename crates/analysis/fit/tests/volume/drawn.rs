@@ -8,9 +8,9 @@ use std::fmt::Write as _;
 use rand::{Rng as _, SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
 use trueup_twin::{
-    axes::{Axes, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
-    bodies::{Body, MovingAxis, error_um},
+    axes::{AxesConfig, AxisConfig, AxisName, SimulatedAxes, StraightnessConfig},
     cubic_spline::CubicSpline,
+    rigid_bodies::{Body, MovingAxis, error_um},
 };
 
 use crate::forms::{Law, normal};
@@ -180,7 +180,7 @@ impl Drawn {
 
     /// Returns the error of the tip as it is.
     pub fn error_um(&self, at: &At) -> [f64; 3] {
-        let mut axes = Axes::new(&self.axes, at.mm, 20.0);
+        let mut axes = SimulatedAxes::new(&self.axes, at.mm, 20.0);
         axes.step(1.0, at.mm, 20.0);
         let own = axes.error_um();
         let bodies = error_um(&self.bodies, [0.0, 0.0, -at.tool_mm], at.mm, at.deg);

@@ -8,32 +8,32 @@
 //! ```
 //!
 //! A change of [`TARGET_SHIFT_SIGMAS`]·σ moves e by δ = CHANGE·√((1 − ρ)/(1 + ρ)); k = δ/2 finds it soonest. ψ holds a reading to a bound, and one
-//! beyond `GROSS_ERROR_LIMIT_SIGMAS` standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
-//! and σ are those of the readings within `GROSS_ERROR_LIMIT_SIGMAS`, so bad ones in the record of the calibration do not count either.
+//! beyond `GROSS_ERROR_THRESHOLD_SIGMAS` standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
+//! and σ are those of the readings within `GROSS_ERROR_THRESHOLD_SIGMAS`, so bad ones in the record of the calibration do not count either.
 
-mod advice;
-mod cusum;
+mod cusum_design;
+mod recommended_measurement;
 
 use serde::Serialize;
 use trueup_machine::{
     InputFileError, Machine, RunFile,
-    file::{ElongationSource, Quantity},
-    predict::Predictor,
+    machine_file::{ElongationSource, Quantity},
+    predict::RunPredictor,
 };
 use trueup_numerics::robust::median;
 
-use crate::constants::measured_quantity;
-use advice::ComparisonKind;
-use cusum::{BaselineUncertainty, CusumDesign};
+use crate::learnable_constants::resolve_quantity;
+use cusum_design::{BaselineUncertainty, CusumDesign};
+use recommended_measurement::ComparisonKind;
 
 /// The change that is to be found, in standard deviations of what is measured less what is predicted.
 pub const TARGET_SHIFT_SIGMAS: f64 = 3.0;
 /// Fewer readings do not say what the noise is: with 40 σ is known to an eighth, and h has room for that.
-const MIN_READINGS: usize = 40;
+const MIN_MONITORED_READINGS: usize = 40;
 /// A memory beyond this cannot be distinguished from a drift: 50 rows.
 const MAX_AUTOCORRELATION: f64 = 0.98;
 /// A reading beyond this many standard deviations is bad, or the machine has changed: one good one in 16 000.
-const GROSS_ERROR_LIMIT_SIGMAS: f64 = 4.0;
+const GROSS_ERROR_THRESHOLD_SIGMAS: f64 = 4.0;
 /// Standard errors of a bound that holds nineteen times of twenty.
 const NORMAL_QUANTILE_95: f64 = 1.645;
 /// Readings are in a row where they are no farther apart than this many steps of the clock.
@@ -116,9 +116,9 @@ impl BaselineNoise {
     fn with_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
         let there: Vec<f64> = rows.iter().map(|row| row.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
-        if count < MIN_READINGS {
+        if count < MIN_MONITORED_READINGS {
             return Err(format!(
-                "has {count} rows that are measured and predicted; at least {MIN_READINGS} are needed"
+                "has {count} rows that are measured and predicted; at least {MIN_MONITORED_READINGS} are needed"
             ));
         }
         let mut mean_um = median(&mut there.clone());
@@ -128,8 +128,11 @@ impl BaselineNoise {
         const TRIMMING_ITERATIONS: usize = 10;
         for _ in 0..TRIMMING_ITERATIONS {
             // Readings that are written in steps may agree in more than half.
-            let within =
-                if sigma_um > 0.0 { GROSS_ERROR_LIMIT_SIGMAS * sigma_um } else { f64::INFINITY };
+            let within = if sigma_um > 0.0 {
+                GROSS_ERROR_THRESHOLD_SIGMAS * sigma_um
+            } else {
+                f64::INFINITY
+            };
             let sound = there.iter().filter(|um| (*um - mean_um).abs() <= within);
             let sound: Vec<f64> = sound.copied().collect();
             mean_um = sound.iter().sum::<f64>() / sound.len() as f64;
@@ -139,7 +142,7 @@ impl BaselineNoise {
         if sigma_um < 1e-9 {
             return Err("does not scatter at all: is it a simulation?".into());
         }
-        let is_sound = |um: f64| (um - mean_um).abs() <= GROSS_ERROR_LIMIT_SIGMAS * sigma_um;
+        let is_sound = |um: f64| (um - mean_um).abs() <= GROSS_ERROR_THRESHOLD_SIGMAS * sigma_um;
         let pairs = rows.windows(2).filter(|pair| {
             pair[1].0 <= MAX_CONSECUTIVE_GAP_STEPS
                 && pair.iter().all(|reading| reading.1.is_finite() && is_sound(reading.1))
@@ -171,7 +174,7 @@ impl CusumMonitor {
             scatter: 1.0 + NORMAL_QUANTILE_95 / (2.0 * count).sqrt(),
         };
         let first = TARGET_SHIFT_SIGMAS / (1.0 - rho.powi(4)).sqrt();
-        let plan = cusum::design_cusum(k, first, rows, open);
+        let plan = cusum_design::design_cusum(k, first, rows, open);
         Self {
             noise,
             k,
@@ -207,7 +210,7 @@ impl CusumMonitor {
         let white = (off_um - expected_um) / (sigma_um * (1.0 - left * left).max(1e-6).sqrt());
         let bound = self.plan.bound;
         let before = self.gross[1];
-        let held = if white.abs() > GROSS_ERROR_LIMIT_SIGMAS {
+        let held = if white.abs() > GROSS_ERROR_THRESHOLD_SIGMAS {
             self.gross = [white.signum(); 2];
             if before == white.signum() { bound * before } else { 0.0 }
         } else {
@@ -255,7 +258,13 @@ pub fn monitor_calibration(
                 row: row + 1,
                 time_s: run.column("time_s").map(|times| times[row]),
                 moved_um: median(&mut there) - noise.mean_um,
-                next: advice::recommend_next_measurement(&now, machine, run, since, noise.sigma_um),
+                next: recommended_measurement::recommend_next_measurement(
+                    &now,
+                    machine,
+                    run,
+                    since,
+                    noise.sigma_um,
+                ),
             });
             // What has changed stands alone no longer.
             outliers.retain(|outlier| *outlier <= since);
@@ -267,7 +276,7 @@ pub fn monitor_calibration(
 }
 
 /// Measured less predicted by row.
-struct Residuals {
+struct MonitoringResiduals {
     compared: ComparisonKind,
     /// The column of what is compared with the model.
     column: String,
@@ -281,12 +290,12 @@ fn prediction_residuals(
     machine: &Machine,
     run: &RunFile,
     requested: Option<Quantity>,
-) -> Result<Residuals, InputFileError> {
+) -> Result<MonitoringResiduals, InputFileError> {
     let by = |source: Option<ElongationSource>, quantity: Quantity| {
         let mut machine = machine.clone();
         machine.spindle.source = source;
         let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
-        let rows = Predictor::new(&machine, run)?;
+        let rows = RunPredictor::new(&machine, run)?;
         let um: Vec<f64> = rows.model_values().map(|values| values.to_array()[index]).collect();
         Ok::<_, InputFileError>(um)
     };
@@ -315,7 +324,7 @@ fn prediction_residuals(
             by(Some(model), quantity)?,
         )
     } else {
-        let quantity = measured_quantity(run, requested)?;
+        let quantity = resolve_quantity(run, requested)?;
         let name = format!("measured_{}_um", quantity.name());
         let compared =
             quantity.axis().map_or(ComparisonKind::Growth(spindle.source), ComparisonKind::Axis);
@@ -327,7 +336,7 @@ fn prediction_residuals(
         .zip(&predicted_um)
         .map(|(measured, predicted)| measured - predicted)
         .collect();
-    Ok(Residuals { compared, column, apart_um, predicted_um })
+    Ok(MonitoringResiduals { compared, column, apart_um, predicted_um })
 }
 
 /// Returns the most common step of the clock between readings, in s; a minute where there is none.

@@ -202,14 +202,14 @@ pub fn fit(
 }
 
 /// Buffers, a value for each row: the model's values, and its derivatives by parameter.
-type Workspace = (Vec<f64>, Vec<Vec<f64>>);
+type SolverWorkspace = (Vec<f64>, Vec<Vec<f64>>);
 
 /// The problem as the solver sees it.
 struct SolverProblem<'a, M: Model + ?Sized> {
     model: &'a M,
     measured: &'a [f64],
     parameters: Vec<f64>,
-    space: Rc<RefCell<Workspace>>,
+    space: Rc<RefCell<SolverWorkspace>>,
 }
 
 impl<'a, M: Model + ?Sized> SolverProblem<'a, M> {

@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
     reading::RepeatReading,
-    table::{TableFit, TableLaw},
+    table_fit::{TableFit, TableLaw},
     table_selection::SIGNIFICANCE_LEVEL,
 };
 

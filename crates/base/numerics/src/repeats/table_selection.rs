@@ -20,7 +20,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
     reading::RepeatReading,
-    table::{TableFit, TableLaw},
+    table_fit::{TableFit, TableLaw},
 };
 
 /// A law that chance alone would make look as good more often than this is none. Source: the usual level

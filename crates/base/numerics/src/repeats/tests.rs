@@ -1,5 +1,5 @@
 use super::{power::power, *};
-use crate::random::Generator;
+use crate::random::RandomGenerator;
 
 /// `cycles` there and back over `places` places: what `of` says of a place, a side and a cycle.
 fn cycles_of(
@@ -21,7 +21,7 @@ fn cycles_of(
 
 /// Normal noise of the standard deviation 1.
 fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut generator = Generator::new(seed);
+    let mut generator = RandomGenerator::new(seed);
     move || generator.normal()
 }
 

@@ -17,7 +17,7 @@
 //! share of a record that gross errors may have, and the tail begins at a quarter of the readings:
 //! λ = (c + k)·P.
 
-use super::residual::MAX_OUTLIER_FRACTION;
+use super::residual_outliers::MAX_OUTLIER_FRACTION;
 
 /// The farthest readings, which form the tail: as many as make its scale known to 1/√20, a fifth.
 const MAX_TAIL_READINGS: usize = 20;
@@ -73,7 +73,7 @@ pub fn poisson_tail_probability(count: usize, mean: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Generator;
+    use crate::random::RandomGenerator;
 
     #[test]
     fn the_chance_of_as_many_is_that_of_poisson() {
@@ -87,9 +87,9 @@ mod tests {
     fn share_below(
         chance: f64,
         [rows, far]: [usize; 2],
-        noise: impl Fn(&mut Generator) -> f64,
+        noise: impl Fn(&mut RandomGenerator) -> f64,
     ) -> f64 {
-        let mut random = Generator::new(rows as u64);
+        let mut random = RandomGenerator::new(rows as u64);
         let runs = 2000;
         let found = (0..runs).filter(|_| {
             let mut all: Vec<f64> = (0..rows).map(|_| noise(&mut random).abs()).collect();
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn errors_of_the_reading_that_pass_for_noise_do_not_hide_the_others() {
-        let mut random = Generator::new(7);
+        let mut random = RandomGenerator::new(7);
         let mut rest: Vec<f64> = (0..400).map(|_| random.normal().abs()).collect();
         rest.extend([4.0, 4.3, 4.4, 4.8, 5.0, 5.1, 5.3, 5.6]);
         let four = noise_tail_probability(&rest, &[6.8, 7.0, 7.2, 7.4], 0.0);
@@ -111,10 +111,10 @@ mod tests {
 
     #[test]
     fn noise_with_exponential_tails_keeps_the_chance_and_normal_noise_stays_far_below() {
-        let exponential = |random: &mut Generator| -(1.0 - random.uniform()).ln();
+        let exponential = |random: &mut RandomGenerator| -(1.0 - random.uniform()).ln();
         for of in [[60, 1], [400, 1], [2000, 1], [400, 2], [2000, 2], [2000, 5]] {
             let laplace = share_below(0.05, of, exponential);
-            let normal = share_below(0.05, of, Generator::normal);
+            let normal = share_below(0.05, of, RandomGenerator::normal);
             println!("{of:?}: {laplace} of exponential, {normal} of normal noise");
             assert!(laplace < 0.08 && normal < 0.02, "{of:?}: {laplace} {normal}");
         }
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn what_is_far_from_noise_is_certain_and_what_is_its_tail_is_not() {
-        let mut random = Generator::new(5);
+        let mut random = RandomGenerator::new(5);
         let rest: Vec<f64> = (0..2000).map(|_| random.normal().abs()).collect();
         assert!(noise_tail_probability(&rest, &[5.07], 0.0) > 1e-2);
         assert!(noise_tail_probability(&rest, &[9.0], 0.0) < 1e-3);

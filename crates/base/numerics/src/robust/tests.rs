@@ -1,14 +1,14 @@
 //! Gross errors are found, and what a machine does is none.
 
 use super::{statistics::median, *};
-use crate::random::Generator;
+use crate::random::RandomGenerator;
 
-fn noise(random: &mut Generator) -> f64 {
+fn noise(random: &mut RandomGenerator) -> f64 {
     random.normal()
 }
 
 /// Heavier tails than normal, of the same standard deviation.
-fn laplace(random: &mut Generator) -> f64 {
+fn laplace(random: &mut RandomGenerator) -> f64 {
     let u = random.uniform() - 0.5;
     -u.signum() * (1.0 - 2.0 * u.abs()).ln() / 2.0_f64.sqrt()
 }
@@ -30,7 +30,7 @@ fn the_median_is_the_middle_or_between_the_two_middles() {
 
 #[test]
 fn gross_errors_of_a_warm_up_are_found_alone_and_in_bursts_and_nothing_else() {
-    let mut random = Generator::new(1);
+    let mut random = RandomGenerator::new(1);
     let time: Vec<f64> = (0..300).map(|row| row as f64 * 60.0).collect();
     let mut y: Vec<f64> = (0..300).map(|row| warmup(row) + 0.5 * noise(&mut random)).collect();
     let wrong = [0, 4, 90, 91, 92, 180, 299];
@@ -43,7 +43,7 @@ fn gross_errors_of_a_warm_up_are_found_alone_and_in_bursts_and_nothing_else() {
 
 #[test]
 fn a_step_that_stays_is_no_gross_error() {
-    let mut random = Generator::new(2);
+    let mut random = RandomGenerator::new(2);
     let time: Vec<f64> = (0..200).map(f64::from).collect();
     let step = |row: usize| if row >= 77 { 30.0 } else { 0.0 };
     let y: Vec<f64> = (0..200).map(|row| step(row) + 0.3 * noise(&mut random)).collect();
@@ -71,7 +71,7 @@ fn values_in_coarse_steps_are_not_taken_for_exact_ones() {
 
 #[test]
 fn a_relation_is_found_though_a_third_of_the_rows_is_wrong() {
-    let mut random = Generator::new(3);
+    let mut random = RandomGenerator::new(3);
     let ones = vec![1.0; 90];
     let x: Vec<f64> = (0..90).map(|row| f64::from(row) * 100.0).collect();
     let mut y: Vec<f64> = x.iter().map(|x| 0.02 * x - 4.0 + 0.4 * noise(&mut random)).collect();
@@ -84,9 +84,11 @@ fn a_relation_is_found_though_a_third_of_the_rows_is_wrong() {
 #[test]
 fn clean_data_seldom_loses_a_row() {
     let trials = 200;
-    for (name, sample) in [("normal", noise as fn(&mut Generator) -> f64), ("Laplace", laplace)] {
+    for (name, sample) in
+        [("normal", noise as fn(&mut RandomGenerator) -> f64), ("Laplace", laplace)]
+    {
         for rows in [15_usize, 60, 400] {
-            let mut random = Generator::new(rows as u64);
+            let mut random = RandomGenerator::new(rows as u64);
             let time: Vec<f64> = (0..rows).map(|row| row as f64).collect();
             let ones = vec![1.0; rows];
             let (mut series, mut relation, mut lost) = (0, 0, 0);

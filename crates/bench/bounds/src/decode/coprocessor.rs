@@ -2,7 +2,7 @@
 //!
 //! A result that the next instruction needs is one cycle late (DDI 0439, table 7-1): it is always counted.
 
-use super::{AddressingMode, FlagEffect, Instruction, Register, RegisterEffect};
+use super::{AddressingMode, FlagEffect, Instruction, RegisterEffect, RegisterNumber};
 
 /// Fills in what the word says.
 pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
@@ -10,8 +10,8 @@ pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
     if unit & 0b1110 != 0b1010 {
         return Instruction { cycles: 2, ..one };
     }
-    let base = (all >> 16 & 15) as Register;
-    let to = (all >> 12 & 15) as Register;
+    let base = (all >> 16 & 15) as RegisterNumber;
+    let to = (all >> 12 & 15) as RegisterNumber;
     match all >> 24 & 15 {
         // vmov of two registers of the core
         12 if all >> 21 & 0b111 == 0b010 => {
@@ -47,7 +47,7 @@ fn arithmetic_cycles(all: u32) -> u32 {
 }
 
 /// `vldr`, `vstr`, `vldm`, `vstm`, `vpush`, `vpop`: this many words.
-fn decode_load_store(one: Instruction, all: u32, base: Register) -> Instruction {
+fn decode_load_store(one: Instruction, all: u32, base: RegisterNumber) -> Instruction {
     let is_load = all >> 20 & 1 != 0;
     let writes_back = all >> 21 & 1 != 0;
     let is_single_access = all >> 24 & 1 != 0 && !writes_back;
@@ -58,8 +58,11 @@ fn decode_load_store(one: Instruction, all: u32, base: Register) -> Instruction 
     } else {
         (number, 0)
     };
-    let address =
-        if base == 15 { AddressingMode::Literal } else { AddressingMode::Near(base, offset) };
+    let address = if base == 15 {
+        AddressingMode::Literal
+    } else {
+        AddressingMode::ImmediateOffset(base, offset)
+    };
     let one = if is_load { one.with_load(words, address) } else { one.with_store(words, address) };
     if writes_back {
         let amount = if is_up { 4 * number } else { (4 * number).wrapping_neg() };

@@ -10,13 +10,13 @@ mod thumb16;
 mod thumb32;
 
 /// Number of a core register.
-pub type Register = u8;
+pub type RegisterNumber = u8;
 /// The stack pointer, the link register, the program counter.
-pub(crate) const SP: Register = 13;
+pub(crate) const SP: RegisterNumber = 13;
 /// See [`SP`].
-pub(crate) const LR: Register = 14;
+pub(crate) const LR: RegisterNumber = 14;
 /// See [`SP`].
-pub(crate) const PC: Register = 15;
+pub(crate) const PC: RegisterNumber = 15;
 
 /// The place at which an instruction leads on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,9 +27,9 @@ pub enum ControlFlow {
     /// To an address.
     Jump(u32),
     /// To an address if a register is zero, or if it is not.
-    Zero {
+    CompareAndBranch {
         /// The register.
-        register: Register,
+        register: RegisterNumber,
         /// The address.
         target: u32,
         /// Taken if it is zero.
@@ -38,18 +38,18 @@ pub enum ControlFlow {
     /// Calls a function.
     Call(u32),
     /// Calls the function whose address is in a register.
-    CallRegister(Register),
+    CallRegister(RegisterNumber),
     /// Back to the caller.
     Return,
     /// To an address in a register; `PC`: to one in memory.
-    JumpRegister(Register),
+    JumpRegister(RegisterNumber),
     /// To one of the places of the table that follows, of bytes or of half-words.
-    Table {
+    TableBranch {
         /// Bytes of an entry, 1 or 2.
         size: u32,
     },
     /// Nowhere: it traps.
-    Stop,
+    Trap,
 }
 
 /// The value that an instruction leaves in a register, where that is simple enough.
@@ -59,34 +59,34 @@ pub enum RegisterEffect {
     #[default]
     Other,
     /// A number.
-    Set(Register, u32),
+    Set(RegisterNumber, u32),
     /// Another register.
-    Copy(Register, Register),
+    Copy(RegisterNumber, RegisterNumber),
     /// Another register and a number.
-    Add(Register, Register, u32),
+    Add(RegisterNumber, RegisterNumber, u32),
     /// Of two registers the sum.
-    Sum(Register, Register, Register),
+    Sum(RegisterNumber, RegisterNumber, RegisterNumber),
     /// Of two registers the difference.
-    Difference(Register, Register, Register),
+    Difference(RegisterNumber, RegisterNumber, RegisterNumber),
     /// The upper half is set to a number.
-    High(Register, u32),
+    SetUpperHalf(RegisterNumber, u32),
     /// The word at an address among the code.
-    Literal(Register, u32),
+    Literal(RegisterNumber, u32),
     /// Another register, shifted to the left or (negative) to the right.
-    Shift(Register, Register, i8),
+    Shift(RegisterNumber, RegisterNumber, i8),
     /// Another register and a mask.
-    And(Register, Register, u32),
+    And(RegisterNumber, RegisterNumber, u32),
     /// A number less another register.
-    From(Register, u32, Register),
+    ReverseSubtract(RegisterNumber, u32, RegisterNumber),
 }
 
 /// The second operand of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operand {
     /// A number.
-    Number(u32),
+    Immediate(u32),
     /// A register.
-    Register(Register),
+    Register(RegisterNumber),
 }
 
 /// The effect of an instruction on the flags.
@@ -94,17 +94,17 @@ pub enum Operand {
 pub enum FlagEffect {
     /// None.
     #[default]
-    Keep,
+    Unchanged,
     /// Not followed.
     Other,
     /// Those of a difference.
-    Compare(Register, Operand),
+    Compare(RegisterNumber, Operand),
     /// Those of a sum.
-    Sum(Register, Operand),
+    Sum(RegisterNumber, Operand),
     /// Zero and negative by the register that it writes.
-    Result(Register),
+    Result(RegisterNumber),
     /// Zero by a register and a mask.
-    Test(Register, u32),
+    Test(RegisterNumber, u32),
 }
 
 /// The memory that an instruction reads or writes.
@@ -124,20 +124,20 @@ pub enum AddressingMode {
     /// Among the code.
     Literal,
     /// A register and a number.
-    Near(Register, u32),
+    ImmediateOffset(RegisterNumber, u32),
     /// The sum of two registers.
-    Sum(Register, Register),
+    RegisterOffset(RegisterNumber, RegisterNumber),
 }
 
 /// A change of the mask of interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InterruptMaskChange {
     /// `cpsid i`.
-    Off,
+    Disable,
     /// `cpsie i`, or a write of PRIMASK.
-    On,
+    Enable,
     /// A write of BASEPRI_MAX from a register: raises the ceiling.
-    Raise(Register),
+    Raise(RegisterNumber),
     /// A write of BASEPRI from a register: restores the ceiling.
     Restore,
 }
@@ -194,7 +194,10 @@ impl Instruction {
         self
     }
 
-    fn with_written_registers(mut self, registers: impl IntoIterator<Item = Register>) -> Self {
+    fn with_written_registers(
+        mut self,
+        registers: impl IntoIterator<Item = RegisterNumber>,
+    ) -> Self {
         for register in registers {
             self.writes |= 1 << register;
         }
@@ -258,6 +261,6 @@ fn sign_extend(value: u32, bits: u32) -> u32 {
 }
 
 /// Returns the registers of a list of 16 bits.
-fn registers_in_list(list: u32) -> impl Iterator<Item = Register> {
+fn registers_in_list(list: u32) -> impl Iterator<Item = RegisterNumber> {
     (0..16).filter(move |bit| list >> bit & 1 != 0)
 }

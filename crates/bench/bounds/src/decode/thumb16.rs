@@ -32,7 +32,7 @@ pub(super) fn decode(one: Instruction, half: u32) -> Instruction {
         12 => {
             let (base, list) = (extract_bit_field(half, 8, 3), half & 0xFF);
             let is_load = half >> 11 & 1 != 0;
-            let address = AddressingMode::Near(base, 0);
+            let address = AddressingMode::ImmediateOffset(base, 0);
             if is_load {
                 one.with_load(list.count_ones(), address)
                     .with_written_registers(registers_in_list(list))
@@ -41,7 +41,7 @@ pub(super) fn decode(one: Instruction, half: u32) -> Instruction {
                 one.with_store(list.count_ones(), address).with_written_registers([base])
             }
         }
-        13 => decode_branch(one, half),
+        13 => decode_conditional_branch(one, half),
         _ => Instruction {
             flow: ControlFlow::Jump(branch_target(&one, sign_extend(half & 0x7FF, 11) << 1)),
             ..one
@@ -82,7 +82,7 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
         0b1110 => set_flags_outside_it_block(
             one.with_written_registers([low])
                 .with_register_effect(RegisterEffect::Add(low, high, small)),
-            FlagEffect::Sum(high, Operand::Number(small)),
+            FlagEffect::Sum(high, Operand::Immediate(small)),
         ),
         0b1111 => set_flags_outside_it_block(
             one.with_written_registers([low]).with_register_effect(RegisterEffect::Add(
@@ -90,7 +90,7 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
                 high,
                 small.wrapping_neg(),
             )),
-            FlagEffect::Compare(high, Operand::Number(small)),
+            FlagEffect::Compare(high, Operand::Immediate(small)),
         ),
         _ => match half >> 11 {
             0 if shift == 0 => set_flags_outside_it_block(
@@ -119,18 +119,20 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
                 FlagEffect::Result(long_to),
             ),
             // cmp sets flags in an IT block as well.
-            5 => Instruction { flags: FlagEffect::Compare(long_to, Operand::Number(byte)), ..one },
+            5 => {
+                Instruction { flags: FlagEffect::Compare(long_to, Operand::Immediate(byte)), ..one }
+            }
             6 => set_flags_outside_it_block(
                 one.with_written_registers([long_to])
                     .with_register_effect(RegisterEffect::Add(long_to, long_to, byte)),
-                FlagEffect::Sum(long_to, Operand::Number(byte)),
+                FlagEffect::Sum(long_to, Operand::Immediate(byte)),
             ),
             _ => {
                 set_flags_outside_it_block(
                     one.with_written_registers([long_to]).with_register_effect(
                         RegisterEffect::Add(long_to, long_to, byte.wrapping_neg()),
                     ),
-                    FlagEffect::Compare(long_to, Operand::Number(byte)),
+                    FlagEffect::Compare(long_to, Operand::Immediate(byte)),
                 )
             }
         },
@@ -146,7 +148,7 @@ fn decode_data_processing(one: Instruction, half: u32) -> Instruction {
         10 => Instruction { flags: FlagEffect::Compare(to, Operand::Register(from)), ..one },
         9 => set_flags_outside_it_block(
             one.with_written_registers([to])
-                .with_register_effect(RegisterEffect::From(to, 0, from)),
+                .with_register_effect(RegisterEffect::ReverseSubtract(to, 0, from)),
             FlagEffect::Result(to),
         ),
         _ => set_flags_outside_it_block(one.with_written_registers([to]), FlagEffect::Other),
@@ -174,21 +176,27 @@ fn decode_special_data(one: Instruction, half: u32) -> Instruction {
 
 fn decode_load_store_single(one: Instruction, half: u32) -> Instruction {
     let (to, base) = (extract_bit_field(half, 0, 3), extract_bit_field(half, 3, 3));
-    let by_register = AddressingMode::Sum(base, extract_bit_field(half, 6, 3));
+    let by_register = AddressingMode::RegisterOffset(base, extract_bit_field(half, 6, 3));
     let small = half >> 6 & 31;
     let (is_load, to, address) = match half >> 11 {
         // str, strh, strb; ldrsb, ldr, ldrh, ldrb, ldrsh
         0b01010 | 0b01011 => (half >> 9 & 7 > 2, to, by_register),
-        0b01100 => (false, to, AddressingMode::Near(base, 4 * small)),
-        0b01101 => (true, to, AddressingMode::Near(base, 4 * small)),
-        0b01110 => (false, to, AddressingMode::Near(base, small)),
-        0b01111 => (true, to, AddressingMode::Near(base, small)),
-        0b10000 => (false, to, AddressingMode::Near(base, 2 * small)),
-        0b10001 => (true, to, AddressingMode::Near(base, 2 * small)),
-        0b10010 => {
-            (false, extract_bit_field(half, 8, 3), AddressingMode::Near(SP, 4 * (half & 0xFF)))
-        }
-        _ => (true, extract_bit_field(half, 8, 3), AddressingMode::Near(SP, 4 * (half & 0xFF))),
+        0b01100 => (false, to, AddressingMode::ImmediateOffset(base, 4 * small)),
+        0b01101 => (true, to, AddressingMode::ImmediateOffset(base, 4 * small)),
+        0b01110 => (false, to, AddressingMode::ImmediateOffset(base, small)),
+        0b01111 => (true, to, AddressingMode::ImmediateOffset(base, small)),
+        0b10000 => (false, to, AddressingMode::ImmediateOffset(base, 2 * small)),
+        0b10001 => (true, to, AddressingMode::ImmediateOffset(base, 2 * small)),
+        0b10010 => (
+            false,
+            extract_bit_field(half, 8, 3),
+            AddressingMode::ImmediateOffset(SP, 4 * (half & 0xFF)),
+        ),
+        _ => (
+            true,
+            extract_bit_field(half, 8, 3),
+            AddressingMode::ImmediateOffset(SP, 4 * (half & 0xFF)),
+        ),
     };
     if is_load {
         one.with_load(1, address).with_written_registers([to])
@@ -208,14 +216,18 @@ fn decode_miscellaneous(one: Instruction, half: u32) -> Instruction {
         1 | 3 | 9 | 11 => {
             let offset = (half >> 9 & 1) << 6 | (half >> 3 & 31) << 1;
             let (register, if_zero) = (extract_bit_field(half, 0, 3), half >> 11 & 1 == 0);
-            let flow = ControlFlow::Zero { register, target: branch_target(&one, offset), if_zero };
+            let flow = ControlFlow::CompareAndBranch {
+                register,
+                target: branch_target(&one, offset),
+                if_zero,
+            };
             Instruction { flow, ..one }
         }
         4 | 5 => {
             let list = half & 0xFF | (half >> 8 & 1) << 14;
             let count = list.count_ones();
             let down = RegisterEffect::Add(SP, SP, (4 * count).wrapping_neg());
-            one.with_store(count, AddressingMode::Near(SP, 0))
+            one.with_store(count, AddressingMode::ImmediateOffset(SP, 0))
                 .with_written_registers([SP])
                 .with_register_effect(down)
         }
@@ -225,7 +237,7 @@ fn decode_miscellaneous(one: Instruction, half: u32) -> Instruction {
             let count = list.count_ones() + returns;
             let up = RegisterEffect::Add(SP, SP, 4 * count);
             let one = one
-                .with_load(count, AddressingMode::Near(SP, 0))
+                .with_load(count, AddressingMode::ImmediateOffset(SP, 0))
                 .with_written_registers(registers_in_list(list))
                 .with_written_registers([SP]);
             let flow = if returns == 1 { ControlFlow::Return } else { ControlFlow::Next };
@@ -233,8 +245,11 @@ fn decode_miscellaneous(one: Instruction, half: u32) -> Instruction {
         }
         // cps: of the two masks only PRIMASK.
         6 if half & 0xFFE0 == 0xB660 => {
-            let mask =
-                if half >> 4 & 1 != 0 { InterruptMaskChange::Off } else { InterruptMaskChange::On };
+            let mask = if half >> 4 & 1 != 0 {
+                InterruptMaskChange::Disable
+            } else {
+                InterruptMaskChange::Enable
+            };
             Instruction { mask: (half & 2 != 0).then_some(mask), cycles: 2, ..one }
         }
         2 => {
@@ -247,15 +262,15 @@ fn decode_miscellaneous(one: Instruction, half: u32) -> Instruction {
             one.with_written_registers([to]).with_register_effect(effect)
         }
         10 => one.with_written_registers([extract_bit_field(half, 0, 3)]),
-        14 => Instruction { flow: ControlFlow::Stop, ..one },
+        14 => Instruction { flow: ControlFlow::Trap, ..one },
         15 if half & 0xF != 0 => Instruction { it: half as u8, ..one },
         _ => one,
     }
 }
 
-fn decode_branch(one: Instruction, half: u32) -> Instruction {
+fn decode_conditional_branch(one: Instruction, half: u32) -> Instruction {
     match half >> 8 & 15 {
-        14 => Instruction { flow: ControlFlow::Stop, ..one },
+        14 => Instruction { flow: ControlFlow::Trap, ..one },
         15 => one.with_written_registers([0, 1, 2, 3, 12]),
         condition => Instruction {
             flow: ControlFlow::Jump(branch_target(&one, sign_extend(half & 0xFF, 8) << 1)),

@@ -2,7 +2,7 @@
 
 use super::{
     AddressingMode, ControlFlow, FlagEffect, Instruction, InterruptMaskChange, Operand, PC,
-    Register, RegisterEffect, SP, coprocessor, registers_in_list, sign_extend, thumb16,
+    RegisterEffect, RegisterNumber, SP, coprocessor, registers_in_list, sign_extend, thumb16,
 };
 
 /// Fills in what the two half-words say.
@@ -21,7 +21,7 @@ pub(super) fn decode(one: Instruction, first: u32, second: u32) -> Instruction {
     }
 }
 
-fn extract_register(half: u32, from: u32) -> Register {
+fn extract_register(half: u32, from: u32) -> RegisterNumber {
     (half >> from & 15) as u8
 }
 
@@ -32,10 +32,10 @@ fn decode_load_store_multiple(one: Instruction, first: u32, second: u32) -> Inst
     let is_load = first >> 4 & 1 != 0;
     let amount = if first >> 7 & 3 == 1 { 4 * count } else { (4 * count).wrapping_neg() };
     let one = if is_load {
-        one.with_load(count, AddressingMode::Near(base, 0))
+        one.with_load(count, AddressingMode::ImmediateOffset(base, 0))
             .with_written_registers(registers_in_list(second & 0x7FFF))
     } else {
-        one.with_store(count, AddressingMode::Near(base, 0))
+        one.with_store(count, AddressingMode::ImmediateOffset(base, 0))
     };
     let one = if writes_back {
         thumb16::adjust_stack_pointer(one.with_written_registers([base]), base, amount)
@@ -60,17 +60,18 @@ fn decode_load_store_dual(one: Instruction, first: u32, second: u32) -> Instruct
         // Exclusive, or a table.
         if first >> 4 & 15 == 0b1101 && second >> 5 & 7 == 0 {
             let size = if second >> 4 & 1 == 0 { 1 } else { 2 };
-            return Instruction { flow: ControlFlow::Table { size }, cycles: 2, ..one };
+            return Instruction { flow: ControlFlow::TableBranch { size }, cycles: 2, ..one };
         }
         return if is_load {
-            one.with_load(1, AddressingMode::Near(base, 0)).with_written_registers([to])
+            one.with_load(1, AddressingMode::ImmediateOffset(base, 0)).with_written_registers([to])
         } else {
             let status = if first >> 7 & 1 != 0 { extract_register(second, 0) } else { other };
-            one.with_store(1, AddressingMode::Near(base, 0)).with_written_registers([status])
+            one.with_store(1, AddressingMode::ImmediateOffset(base, 0))
+                .with_written_registers([status])
         };
     }
     let signed_offset = if first >> 7 & 1 != 0 { offset } else { offset.wrapping_neg() };
-    let address = AddressingMode::Near(base, if indexed { signed_offset } else { 0 });
+    let address = AddressingMode::ImmediateOffset(base, if indexed { signed_offset } else { 0 });
     let one = if base == PC {
         one.with_load(2, AddressingMode::Literal).with_written_registers([to, other])
     } else if is_load {
@@ -117,7 +118,12 @@ fn decode_shifted_register(one: Instruction, first: u32, second: u32) -> Instruc
     with_result(one, to, sets, effect, flags)
 }
 
-fn shifted_copy(to: Register, from: Register, kind: u32, amount: u32) -> RegisterEffect {
+fn shifted_copy(
+    to: RegisterNumber,
+    from: RegisterNumber,
+    kind: u32,
+    amount: u32,
+) -> RegisterEffect {
     match (kind, amount) {
         (0, 0) => RegisterEffect::Copy(to, from),
         (0, _) => RegisterEffect::Shift(to, from, amount as i8),
@@ -129,12 +135,12 @@ fn shifted_copy(to: Register, from: Register, kind: u32, amount: u32) -> Registe
 /// A result that is not kept is a comparison.
 fn with_result(
     one: Instruction,
-    to: Register,
+    to: RegisterNumber,
     sets: bool,
     effect: RegisterEffect,
     flags: FlagEffect,
 ) -> Instruction {
-    let one = Instruction { flags: if sets { flags } else { FlagEffect::Keep }, ..one };
+    let one = Instruction { flags: if sets { flags } else { FlagEffect::Unchanged }, ..one };
     if to == PC && sets {
         one
     } else {
@@ -163,12 +169,12 @@ fn decode_modified_immediate(one: Instruction, first: u32, second: u32) -> Instr
     }
     let number = thumb_expand_imm(bits);
     let sets = first >> 4 & 1 != 0;
-    let by = Operand::Number(number);
+    let by = Operand::Immediate(number);
     let (effect, flags) = match first >> 5 & 15 {
         0 if to == PC => (RegisterEffect::Other, FlagEffect::Test(from, number)),
         0 => (RegisterEffect::And(to, from, number), FlagEffect::Result(to)),
         1 => (RegisterEffect::And(to, from, !number), FlagEffect::Result(to)),
-        14 => (RegisterEffect::From(to, number, from), FlagEffect::Result(to)),
+        14 => (RegisterEffect::ReverseSubtract(to, number, from), FlagEffect::Result(to)),
         2 if from == PC => (RegisterEffect::Set(to, number), FlagEffect::Other),
         3 if from == PC => (RegisterEffect::Set(to, !number), FlagEffect::Other),
         8 => (RegisterEffect::Add(to, from, number), FlagEffect::Sum(from, by)),
@@ -193,7 +199,7 @@ fn decode_plain_binary_immediate(
         4 => RegisterEffect::Set(to, half),
         10 if from == PC => RegisterEffect::Set(to, ((one.at + 4) & !3).wrapping_sub(bits)),
         10 => RegisterEffect::Add(to, from, bits.wrapping_neg()),
-        12 => RegisterEffect::High(to, half),
+        12 => RegisterEffect::SetUpperHalf(to, half),
         _ => RegisterEffect::Other,
     };
     one.with_written_registers([to]).with_register_effect(effect)
@@ -228,19 +234,19 @@ fn decode_system(one: Instruction, first: u32, second: u32) -> Instruction {
         // msr
         0x38 | 0x39 => {
             let mask = match second & 0xFF {
-                16 => Some(InterruptMaskChange::On),
+                16 => Some(InterruptMaskChange::Enable),
                 17 => Some(InterruptMaskChange::Restore),
                 18 => Some(InterruptMaskChange::Raise(extract_register(first, 0))),
                 _ => None,
             };
-            let flags = if second & 0xFF < 4 { FlagEffect::Other } else { FlagEffect::Keep };
+            let flags = if second & 0xFF < 4 { FlagEffect::Other } else { FlagEffect::Unchanged };
             Instruction { mask, flags, ..one }
         }
         // mrs
         0x3E | 0x3F => one.with_written_registers([extract_register(second, 8)]),
         // dsb, dmb, isb: at most the store that is on its way, to the slower bus.
         0x3B => Instruction { cycles: 16, ..one },
-        0x7F => Instruction { flow: ControlFlow::Stop, ..one },
+        0x7F => Instruction { flow: ControlFlow::Trap, ..one },
         _ => one,
     }
 }
@@ -265,14 +271,14 @@ fn decode_load_store_single(one: Instruction, first: u32, second: u32) -> Instru
     }
     let small = second & 0xFF;
     let (address, back) = if first >> 7 & 1 != 0 {
-        (AddressingMode::Near(base, second & 0xFFF), None)
+        (AddressingMode::ImmediateOffset(base, second & 0xFFF), None)
     } else if second >> 11 & 1 == 0 {
-        (AddressingMode::Sum(base, extract_register(second, 0)), None)
+        (AddressingMode::RegisterOffset(base, extract_register(second, 0)), None)
     } else {
         let amount = if second >> 9 & 1 != 0 { small } else { small.wrapping_neg() };
         let indexed = second >> 10 & 1 != 0;
         let back = (second >> 8 & 1 != 0).then_some(amount);
-        (AddressingMode::Near(base, if indexed { amount } else { 0 }), back)
+        (AddressingMode::ImmediateOffset(base, if indexed { amount } else { 0 }), back)
     };
     let one = match is_load {
         // A hint to read ahead, `pld`.
@@ -297,7 +303,7 @@ fn decode_data_processing_register(one: Instruction, first: u32, second: u32) ->
     let to = extract_register(second, 8);
     if first >> 8 & 1 == 0 {
         let sets = first >> 7 & 1 == 0 && first >> 4 & 1 != 0 && second >> 7 & 1 == 0;
-        let flags = if sets { FlagEffect::Other } else { FlagEffect::Keep };
+        let flags = if sets { FlagEffect::Other } else { FlagEffect::Unchanged };
         let is_extension = second >> 7 & 1 != 0 && first & 0x8F == 0x0F;
         let from = extract_register(second, 0);
         let is_straight = second >> 4 & 3 == 0;

@@ -16,7 +16,7 @@
 
 use std::{collections::BTreeMap, fs, process::ExitCode};
 
-use trueup_campaigns::{hidden_effects::HiddenCause, score::hidden::ScoreRow};
+use trueup_campaigns::{hidden_effects::HiddenCause, score::hidden_effect::ScoreRow};
 
 /// Below it a cell is worse.
 const SIGNIFICANCE_LEVEL: f64 = 0.01;
@@ -56,11 +56,8 @@ impl DrawScores {
     pub fn add_row(&mut self, ratio: f64, hidden: &str, first: u64, row: &ScoreRow) {
         let cell = self.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
         for (seed, score) in (first..).zip(&row.scores) {
-            let inside = score
-                .intervals
-                .iter()
-                .filter(|interval| interval.contains_hidden_value(1.0))
-                .count();
+            let inside =
+                score.intervals.iter().filter(|interval| interval.contains_true_value(1.0)).count();
             let draw = DrawScore {
                 is_right: score.is_right,
                 is_wrong: score.is_wrong,

@@ -37,7 +37,7 @@ use compare::DrawScores;
 use score_card::ScoreCard;
 use trueup_campaigns::{
     hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
-    score::hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
+    score::hidden_effect::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
 
 /// Arguments of the command.

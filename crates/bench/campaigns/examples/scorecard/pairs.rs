@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-use trueup_campaigns::score::pairs::{
-    CausePair, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, PairScore, find_value_errors,
+use trueup_campaigns::score::cause_pairs::{
+    CausePair, MAX_INCORRECT_FRACTION, MIN_CORRECT_FRACTION, PairScore, find_value_errors,
 };
 
 use crate::{
@@ -54,12 +54,12 @@ pub fn run(words: &[String]) -> ExitCode {
         "{n} draws whose causes can be separated: both named and nothing else claimed in {:.1} % (target {:.0} %), a \
          wrong name in {:.1} % (target {:.0} %), an interval or a gain that is off in {:.1} %",
         percent(right),
-        100.0 * MIN_RIGHT_SHARE,
+        100.0 * MIN_CORRECT_FRACTION,
         percent(wrong),
-        100.0 * MAX_WRONG_SHARE,
+        100.0 * MAX_INCORRECT_FRACTION,
         percent(off),
     );
-    let is_met =
-        right as f64 >= MIN_RIGHT_SHARE * n as f64 && wrong as f64 <= MAX_WRONG_SHARE * n as f64;
+    let is_met = right as f64 >= MIN_CORRECT_FRACTION * n as f64
+        && wrong as f64 <= MAX_INCORRECT_FRACTION * n as f64;
     ExitCode::from(u8::from(!is_met))
 }

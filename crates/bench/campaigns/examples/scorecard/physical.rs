@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, ops::Range, process::ExitCode};
 
 use trueup_campaigns::{
     faulty_machine::MultiFaultMachine,
-    score::physical::{PhysicalScore, diagnose_and_score},
+    score::physical_faults::{PhysicalScore, diagnose_and_score},
 };
 
 use crate::{
@@ -17,7 +17,7 @@ use crate::{
 /// The least share of draws in which all is named, of those whose faults can be distinguished from each other.
 const MIN_NAMED_SHARE: f64 = 0.95;
 /// The largest share of draws with a wrong name.
-const MAX_WRONG_SHARE: f64 = 0.01;
+const MAX_INCORRECT_FRACTION: f64 = 0.01;
 /// A healthy machine for this many with faults.
 const FAULTY_PER_HEALTHY: u64 = 5;
 
@@ -70,7 +70,7 @@ impl DrawCounts {
 
     fn is_target_met(&self) -> bool {
         self.named_of_distinguishable as f64 >= MIN_NAMED_SHARE * self.distinguishable as f64
-            && self.wrong as f64 <= MAX_WRONG_SHARE * self.draws as f64
+            && self.wrong as f64 <= MAX_INCORRECT_FRACTION * self.draws as f64
             && self.harmed == 0
     }
 }

@@ -9,7 +9,7 @@ use trueup_campaigns::{
     hidden_effects::{
         DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
     },
-    score::hidden::{Answer, AnswerFinding},
+    score::hidden_effect::{AnswerFinding, DiagnosisAnswer},
 };
 
 use crate::{
@@ -39,7 +39,10 @@ pub fn run(words: &[String]) -> ExitCode {
             let challenge = drawn(seed);
             let answer = run_diagnosis(Path::new(program), &challenge);
             answer.map(|answer| {
-                (answer.is_right(&challenge.truth), answer.is_wrong(&challenge.truth))
+                (
+                    answer.names_all_causes(&challenge.truth),
+                    answer.has_false_claim(&challenge.truth),
+                )
             })
         });
         let (mut right, mut wrong) = (0, 0);
@@ -95,7 +98,7 @@ fn finding_columns(finding: &Value) -> Vec<String> {
 }
 
 /// Returns what `program` says of the files of `challenge`.
-fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answer, String> {
+fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<DiagnosisAnswer, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let put = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -122,5 +125,5 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answer, String>
             .map(|partner| text(&partner["cause"]))
             .collect(),
     });
-    Ok(Answer { verdict: text(&report["verdict"]), findings: findings.collect() })
+    Ok(DiagnosisAnswer { verdict: text(&report["verdict"]), findings: findings.collect() })
 }

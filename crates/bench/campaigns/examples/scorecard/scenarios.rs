@@ -3,7 +3,7 @@
 
 use std::process::ExitCode;
 
-use trueup_campaigns::score::shipped::SHIPPED_SCENARIOS;
+use trueup_campaigns::score::shipped_scenarios::SHIPPED_SCENARIOS;
 
 use crate::{
     compare::{DrawScore, DrawScores},
@@ -12,7 +12,7 @@ use crate::{
 };
 
 /// The least share of right answers, of each.
-const MIN_RIGHT_SHARE: f64 = 0.98;
+const MIN_CORRECT_FRACTION: f64 = 0.98;
 
 /// `scenarios [--seeds 50] [--first 0] [--each] [--tsv FILE] [name…]`.
 pub fn run(words: &[String]) -> ExitCode {
@@ -38,13 +38,13 @@ pub fn run(words: &[String]) -> ExitCode {
             draws.insert("shipped", shipped.name, seed, draw);
         }
         let share = right as f64 / comparisons.len().max(1) as f64;
-        is_met &= share >= MIN_RIGHT_SHARE;
+        is_met &= share >= MIN_CORRECT_FRACTION;
         println!(
             "{:<20} n {:>3} right {:>5.1} % (target {:.0} %), a false claim in {false_names}",
             shipped.name,
             comparisons.len(),
             100.0 * share,
-            100.0 * MIN_RIGHT_SHARE,
+            100.0 * MIN_CORRECT_FRACTION,
         );
         asked.write_tsv(&draws);
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use trueup_campaigns::score::hidden::ScoreRow;
+use trueup_campaigns::score::hidden_effect::ScoreRow;
 
 /// All rows, as a document.
 #[derive(Clone, Debug, Default)]
@@ -136,6 +136,6 @@ fn format_table_row(row: &ScoreRow, name: &str) -> String {
         100.0 * row.wrong_share(),
         number(median),
         number(worst),
-        row.count_harmed()
+        row.count_degraded_hold_outs()
     )
 }

@@ -1,6 +1,6 @@
 //! `scorecard second`: what is named where the machine file has a cause already.
 //!
-//! For each pair (in the file, new in the data) of [`known_and_new_causes`] `--seeds` draws at ratio 3: *right*
+//! For each pair (in the file, new in the data) of [`known_and_new_cause_pairs`] `--seeds` draws at ratio 3: *right*
 //! is the new cause claimed and no other, *alone* is right without any other finding, claimed or not.
 //! Then the aged files: a term with about half of its true size, and the same cause is the answer.
 
@@ -8,8 +8,11 @@ use std::{ops::Range, path::Path, process::ExitCode};
 
 use trueup_campaigns::{
     hidden_effects::TestCase,
-    known_term::{draw_aged_term, draw_with_known_term, known_and_new_causes, known_causes},
-    score::hidden::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
+    known_term::{
+        draw_test_case_with_changed_term, draw_test_case_with_known_term,
+        known_and_new_cause_pairs, known_causes,
+    },
+    score::hidden_effect::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
 use trueup_machine::MachineFile;
 
@@ -129,11 +132,11 @@ pub fn run(words: &[String]) -> ExitCode {
         Err(refused) => println!("{name:<60} cannot stand in a file: {refused}"),
     };
     let mut sum = RowCounts::default();
-    for (a, b) in known_and_new_causes() {
+    for (a, b) in known_and_new_cause_pairs() {
         let name = format!("{}+{}", a.name(), b.name());
         if is_selected(a.name(), &name) {
             let drawn = |seed| {
-                draw_with_known_term(a, b, EFFECT_TO_NOISE_RATIO, seed)
+                draw_test_case_with_known_term(a, b, EFFECT_TO_NOISE_RATIO, seed)
                     .expect("they stand beside each other")
             };
             count_row(&mut sum, name, score_draws(seeds.clone(), &drawn));
@@ -144,7 +147,7 @@ pub fn run(words: &[String]) -> ExitCode {
     for cause in known_causes() {
         let name = format!("{} aged", cause.name());
         if is_selected(cause.name(), &name) {
-            let drawn = |seed| draw_aged_term(cause, EFFECT_TO_NOISE_RATIO, seed);
+            let drawn = |seed| draw_test_case_with_changed_term(cause, EFFECT_TO_NOISE_RATIO, seed);
             count_row(&mut aged, name, score_draws(seeds.clone(), &drawn));
         }
     }

@@ -15,10 +15,10 @@
 //! The laws are those of physics over the columns of the record; which belongs to which fault follows
 //! from what the fault is. Nothing of a diagnosis is used.
 
-use trueup_machine::{RunFile, file::is_temperature_column};
-use trueup_numerics::least_squares::normal::dot;
+use trueup_machine::{RunFile, machine_file::is_temperature_column};
+use trueup_numerics::least_squares::normal_equations::dot;
 
-use crate::physical::PhysicalFault;
+use crate::physical_faults::PhysicalFault;
 
 /// Time constants that a law may have: from the interval of rows to some hours, in s, half as long again
 /// each. Two neighbours together cover the effect of one that lies between them.

@@ -2,7 +2,7 @@
 //!
 //! | machine | faults | drawn for |
 //! |---|---|---|
-//! | [`MultiFaultMachine`] | one to five; some may imitate others | the score card ([`crate::score::physical`]) |
+//! | [`MultiFaultMachine`] | one to five; some may imitate others | the score card ([`crate::score::physical_faults`]) |
 //! | [`SeparableFaultMachine`] | one to three, distinguishable from every other law by the record | the demonstration |
 //!
 //! Nothing here knows the diagnosis. The model of a machine file says only what its user believes: a fault is measured as
@@ -11,12 +11,12 @@
 
 mod alternatives;
 mod multi_fault;
-mod separable;
+mod separable_faults;
 
 pub use multi_fault::MultiFaultMachine;
-pub use separable::SeparableFaultMachine;
+pub use separable_faults::SeparableFaultMachine;
 
-use crate::physical::PhysicalFault;
+use crate::physical_faults::PhysicalFault;
 
 /// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
 pub const MIN_FAULT_TO_NOISE_RATIO: f64 = 3.0;

@@ -2,7 +2,7 @@
 
 use std::{convert::Infallible, path::Path};
 
-use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 use trueup_twin::{
     noise::{RandomStream, rms},
     simulate,
@@ -10,8 +10,8 @@ use trueup_twin::{
 
 use super::{FAULT_TO_NOISE_RATIO_RANGE, SampledFault, find_fault_at_noise_ratio};
 use crate::{
-    own_effect::orthogonal_component_rms,
-    physical::{MachineKind, PhysicalFault, Plant},
+    orthogonal_component::orthogonal_component_rms,
+    physical_faults::{MachineKind, PhysicalFault, Plant},
 };
 
 /// A machine with one to five faults, some of which may imitate others.
@@ -34,7 +34,7 @@ impl MultiFaultMachine {
             .into_iter()
             .filter(|kind| kind.possible_faults().len() >= count)
             .collect();
-        let mut case = Self::without_fault_of_kind(stream.choose(&kinds), seed);
+        let mut case = Self::new_without_faults(stream.choose(&kinds), seed);
         let mut left = case.plant.kind.possible_faults().to_vec();
         while case.faults.len() < count && !left.is_empty() {
             let fault = left.swap_remove(stream.uniform_integer(0, left.len() - 1));
@@ -50,13 +50,13 @@ impl MultiFaultMachine {
     /// Returns the machine of `seed` without a fault.
     #[must_use]
     pub fn without_fault(seed: u64) -> Self {
-        Self::without_fault_of_kind(
+        Self::new_without_faults(
             MachineKind::SAMPLED_KINDS[(seed % MachineKind::SAMPLED_KINDS.len() as u64) as usize],
             seed,
         )
     }
 
-    fn without_fault_of_kind(kind: MachineKind, seed: u64) -> Self {
+    fn new_without_faults(kind: MachineKind, seed: u64) -> Self {
         let mut case = Self { plant: Plant::draw(kind, seed), faults: Vec::new(), noise_um: 0.0 };
         case.noise_um = rms(&case.residuals_um(&case.plant.machine, &case.record_day(0), true));
         case
@@ -99,7 +99,7 @@ impl MultiFaultMachine {
         let machine = MachineFile::parse(machine, Path::new("machine.toml"))
             .unwrap_or_else(|bad| panic!("{bad}\n{machine}"));
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");
-        let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
+        let predictor = RunPredictor::new(&machine, &run).expect("all that it needs is there");
         let quantity = if self.plant.quantity == "elongation" { 0 } else { 1 };
         let column = format!("measured_{}_um", self.plant.quantity);
         let measured = run.column(&column).expect("the twin measures it");

@@ -1,13 +1,13 @@
 //! The effect of each cause on the error of an axis.
 
 use super::{
-    axis::{AxisBench, detrended_random_walk},
+    axis_bench::{AxisBench, detrended_random_walk},
     cause::HiddenCause,
     effect_shape::{
         EffectShape, NamedParameters, PredictedRun, fixed_parameter_effect, linear_effect, map_runs,
     },
     growth_effects::draw_generic_effect,
-    laws::{
+    model_equations::{
         apply_first_order_lag, clamped_uniform_knots, evaluate_spline, fit_line,
         interpolate_uniform_table, sinusoid,
     },
@@ -23,7 +23,7 @@ pub(super) fn draw_shape(
     let runs = &bench.runs[..];
     let mm = |axis: usize| format!("{}_mm", AXES[axis]);
     let (main_mm, other_mm) = (mm(bench.main), mm(bench.other));
-    let along = |law: &dyn Fn(f64, f64) -> f64| evaluate_along_axis(bench, law);
+    let along = |law: &dyn Fn(f64, f64) -> f64| evaluate_law_along_axis(bench, law);
     let where_reverse = |d: f64| if d < 0.0 { 1.0 } else { 0.0 };
     Some(match cause {
         HiddenCause::ThermalLag
@@ -81,7 +81,7 @@ pub(super) fn draw_shape(
 }
 
 /// Computes a law of the position on the main axis, in mm, and the direction of approach in each row of each run.
-fn evaluate_along_axis(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
+fn evaluate_law_along_axis(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
     let main_mm = format!("{}_mm", AXES[bench.main]);
     let direction = format!("dir_{}", AXES[bench.error]);
     map_runs(&bench.runs, |run| {
@@ -96,7 +96,7 @@ fn draw_pitch_error(bench: &AxisBench, stream: &mut RandomStream) -> Option<Effe
     let forward = detrended_random_walk(count, 1.0, stream);
     let own = detrended_random_walk(count, 0.6, stream);
     let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
-    let um = evaluate_along_axis(bench, &|mm, d| {
+    let um = evaluate_law_along_axis(bench, &|mm, d| {
         interpolate_uniform_table(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)
     });
     Some(EffectShape {
@@ -118,7 +118,7 @@ fn draw_periodic_pitch_error(bench: &AxisBench, stream: &mut RandomStream) -> Ef
     let second = if stream.bernoulli(0.5) { 0.0 } else { stream.uniform(0.2, 0.5) };
     let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
     let second_rad = stream.uniform(0.0, std::f64::consts::TAU);
-    let um = evaluate_along_axis(bench, &|mm, _| {
+    let um = evaluate_law_along_axis(bench, &|mm, _| {
         let turns = mm / period_mm;
         sinusoid(turns, phase_rad) + second * sinusoid(2.0 * turns, second_rad)
     });

@@ -1,7 +1,7 @@
 //! A run, and an effect on it whose size is not known yet.
 
 use super::cause::HiddenCause;
-use trueup_twin::table::RunTable;
+use trueup_twin::run_table::RunTable;
 
 /// A run, and what is believed of each of its rows.
 #[derive(Clone, Debug)]

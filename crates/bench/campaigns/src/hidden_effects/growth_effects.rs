@@ -7,13 +7,15 @@ use super::{
     effect_shape::{
         EffectShape, NamedParameters, PredictedRun, fixed_parameter_effect, linear_effect, map_runs,
     },
-    elongation::{COOLANT_PRESSURE_COLUMN, COOLANT_VALVE_COLUMN, ElongationSource, SpindleBench},
-    laws::{apply_first_order_lag, sinusoid, warmup_heat_fraction},
+    model_equations::{apply_first_order_lag, sinusoid, warmup_heat_fraction},
+    spindle_bench::{
+        COOLANT_PRESSURE_COLUMN, COOLANT_VALVE_COLUMN, ElongationSource, SpindleBench,
+    },
 };
 use trueup_twin::noise::RandomStream;
 
 /// `law` on each believed value of each run.
-fn map_predicted(runs: &[PredictedRun], law: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {
+fn map_predictions(runs: &[PredictedRun], law: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {
     map_runs(runs, |run| run.believed_um.iter().map(|&p| law(p)).collect())
 }
 
@@ -28,7 +30,7 @@ pub(super) fn draw_shape(
     Some(match cause {
         HiddenCause::CleanWhite | HiddenCause::CleanCorrelated => return None,
         HiddenCause::SensorOffset => {
-            linear_effect(cause, "offset_um", map_predicted(runs, |_| 1.0))
+            linear_effect(cause, "offset_um", map_predictions(runs, |_| 1.0))
         }
         HiddenCause::SensorGain | HiddenCause::GrowthAmplitude => {
             let name = if cause == HiddenCause::SensorGain { "gain" } else { "scale" };
@@ -36,11 +38,11 @@ pub(super) fn draw_shape(
                 at: Box::new(move |factor| {
                     NamedParameters::from_parameters(&[(name, 1.0 + factor)])
                 }),
-                ..linear_effect(cause, "", map_predicted(runs, |p| p))
+                ..linear_effect(cause, "", map_predictions(runs, |p| p))
             }
         }
         HiddenCause::SensorCurvature => {
-            linear_effect(cause, "per_um", map_predicted(runs, |p| p * p))
+            linear_effect(cause, "per_um", map_predictions(runs, |p| p * p))
         }
         HiddenCause::SensorSaturation => draw_sensor_saturation(runs, stream),
         HiddenCause::SensorTemperatureDrift => {
@@ -117,7 +119,7 @@ fn draw_sensor_saturation(runs: &[PredictedRun], stream: &mut RandomStream) -> E
     fixed_parameter_effect(
         cause,
         vec![("limit_um", limit_um)],
-        map_predicted(runs, |p| (limit_um - p).min(0.0)),
+        map_predictions(runs, |p| (limit_um - p).min(0.0)),
     )
 }
 
@@ -192,7 +194,7 @@ fn draw_reference_instrument_error(
                 ("phase_rad", phase_rad),
             ])
         }),
-        ..linear_effect(cause, "", map_predicted(runs, |p| sinusoid(p / period_um, phase_rad)))
+        ..linear_effect(cause, "", map_predictions(runs, |p| sinusoid(p / period_um, phase_rad)))
     }
 }
 
@@ -290,7 +292,7 @@ fn draw_lag_error(
     match &bench.source {
         ElongationSource::Warmup(law) => {
             let cool_s = (law.heating_time_constant_s() * other).round();
-            let truth = super::laws::WarmupLaw { cool_s: Some(cool_s), ..*law };
+            let truth = super::model_equations::WarmupLaw { cool_s: Some(cool_s), ..*law };
             let um = map_runs(runs, |run| {
                 let grown = truth.growth_um(run.column("time_s"), run.column("spindle_rpm"));
                 grown.iter().zip(&run.believed_um).map(|(grown, p)| grown - p).collect()
@@ -315,7 +317,7 @@ fn draw_lag_error(
         }
         // `HiddenCause::bases` sends neither cause to a sensor.
         ElongationSource::Sensor { .. } => {
-            fixed_parameter_effect(cause, Vec::new(), map_predicted(runs, |_| 0.0))
+            fixed_parameter_effect(cause, Vec::new(), map_predictions(runs, |_| 0.0))
         }
     }
 }

@@ -32,19 +32,19 @@
 //! - `unnamed-abbe` is an `angular-error` whose draws are older than its name: [`HiddenCause::expected_name`].
 //! - A column `temp_cabinet_c` and `humidity_percent` have nothing to do with anything.
 
-mod axis;
+mod axis_bench;
 mod axis_effects;
 mod cause;
+mod cause_pairs;
 mod effect_shape;
-mod elongation;
 mod growth_effects;
-mod laws;
-mod pairs;
+mod model_equations;
 mod path_plan;
+mod spindle_bench;
 mod test_case;
 
 pub use cause::{ExpectedDiagnosis, HiddenCause};
-pub use pairs::DISTINGUISHABLE_PAIRS;
+pub use cause_pairs::DISTINGUISHABLE_PAIRS;
 
 use cause::BaseModel;
 

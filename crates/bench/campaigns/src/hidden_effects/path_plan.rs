@@ -1,6 +1,6 @@
 //! The path of a challenge about an axis, and the columns that are written of it.
 
-use trueup_twin::{axes::AXIS_NAMES as AXES, noise::RandomStream, table::RunTable};
+use trueup_twin::{axes::AXIS_NAMES as AXES, noise::RandomStream, run_table::RunTable};
 
 /// How the main axis moves.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,13 +2,13 @@
 
 use super::{
     GroundTruth, HiddenEffect, TestCase,
-    axis::AxisBench,
+    axis_bench::AxisBench,
     axis_effects,
     cause::{BaseModel, ExpectedDiagnosis, HiddenCause},
     effect_shape::{EffectShape, PredictedRun},
-    elongation::{ElongationSourceKind, SpindleBench},
     growth_effects,
-    laws::fit_line,
+    model_equations::fit_line,
+    spindle_bench::{ElongationSourceKind, SpindleBench},
 };
 use trueup_twin::noise::{CorrelatedNoise, RandomStream, rms};
 
@@ -46,7 +46,7 @@ pub(super) fn build_test_case(
     };
     let has_true_zero = quantity == "elongation";
     let imitated: Vec<_> =
-        shapes.iter().map(|shape| imitator_residual_shares(shape, has_true_zero)).collect();
+        shapes.iter().map(|shape| imitator_residual_ratios(shape, has_true_zero)).collect();
     let (sigma, mut effects, effect_um) = scale_effects(shapes, ratio, has_true_zero, &mut stream);
     // What comes early can only do so by another clock, and that is written down.
     let is_early =
@@ -92,7 +92,7 @@ pub(super) fn build_test_case(
 }
 
 /// Returns the number of training rows, and what share of the effect's RMS each imitator leaves.
-fn imitator_residual_shares(
+fn imitator_residual_ratios(
     shape: &EffectShape,
     has_true_zero: bool,
 ) -> (f64, Vec<(HiddenCause, f64)>) {

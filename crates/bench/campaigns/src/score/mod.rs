@@ -5,16 +5,16 @@
 //!
 //! | module | scores the answer to |
 //! |---|---|
-//! | [`hidden`] | a hidden effect, or two |
-//! | [`pairs`] | every pair of causes that one machine can have |
-//! | [`inputs`] | an effect of recorded inputs that is in no list |
-//! | [`physical`] | a machine with physical faults |
-//! | [`shipped`] | a shipped scenario |
-//! | [`key`] | a record whose causes are known by physics |
+//! | [`hidden_effect`] | a hidden effect, or two |
+//! | [`cause_pairs`] | every pair of causes that one machine can have |
+//! | [`input_dependence`] | an effect of recorded inputs that is in no list |
+//! | [`physical_faults`] | a machine with physical faults |
+//! | [`shipped_scenarios`] | a shipped scenario |
+//! | [`answer_key`] | a record whose causes are known by physics |
 
-pub mod hidden;
-pub mod inputs;
-pub mod key;
-pub mod pairs;
-pub mod physical;
-pub mod shipped;
+pub mod answer_key;
+pub mod cause_pairs;
+pub mod hidden_effect;
+pub mod input_dependence;
+pub mod physical_faults;
+pub mod shipped_scenarios;

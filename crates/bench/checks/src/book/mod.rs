@@ -5,7 +5,7 @@
 //! written as a reader of the source tree follows it; for the web a link to a page of the book stays
 //! one, and a link to another file of the project goes to the project's repository.
 
-mod links;
+mod markdown_links;
 
 use std::{
     fs,
@@ -16,7 +16,7 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use trueup_emulator::{process, setup};
 
-use self::links::{included_file, normalise_path};
+use self::markdown_links::{included_file, normalise_path};
 use crate::cargo;
 
 /// The version that the pages are written for.
@@ -25,7 +25,7 @@ const MDBOOK_VERSION: &str = "0.5.4";
 const BOOK_SOURCE_FOLDER: &str = "docs/book/src";
 
 /// A page of the book.
-struct Page {
+struct BookPage {
     /// Its file in the book.
     name: String,
     /// The file that its text stands in: its own, or the one that it includes.
@@ -34,7 +34,7 @@ struct Page {
 }
 
 /// Returns the pages that stand in the book's folder, but for its contents.
-fn read_book_pages(root: &Path) -> Result<Vec<Page>> {
+fn read_book_pages(root: &Path) -> Result<Vec<BookPage>> {
     let mut pages = Vec::new();
     for entry in fs::read_dir(root.join(BOOK_SOURCE_FOLDER))? {
         let path = entry?.path();
@@ -47,7 +47,7 @@ fn read_book_pages(root: &Path) -> Result<Vec<Page>> {
         let text = read_text(&origin)
             .and_then(|text| expand_includes(&origin, &text))
             .context(name.clone())?;
-        pages.push(Page { name, origin, text });
+        pages.push(BookPage { name, origin, text });
     }
     pages.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(pages)
@@ -74,7 +74,7 @@ fn read_text(file: &Path) -> Result<String> {
 pub(crate) fn find_book_problems(root: &Path) -> Result<Vec<String>> {
     let summary = fs::read_to_string(root.join(BOOK_SOURCE_FOLDER).join("SUMMARY.md"))?;
     let listed: Vec<String> =
-        links::find_links(&summary).into_iter().map(|link| link.target).collect();
+        markdown_links::find_links(&summary).into_iter().map(|link| link.target).collect();
     let mut faults = Vec::new();
     for page in read_book_pages(root)? {
         match listed.iter().filter(|name| **name == page.name).count() {
@@ -82,8 +82,8 @@ pub(crate) fn find_book_problems(root: &Path) -> Result<Vec<String>> {
             count => faults.push(format!("{}: {count} times in SUMMARY.md", page.name)),
         }
     }
-    for document in links::checked_documents(root)? {
-        faults.extend(links::find_broken_links(root, &document)?);
+    for document in markdown_links::checked_documents(root)? {
+        faults.extend(markdown_links::find_broken_links(root, &document)?);
     }
     Ok(faults)
 }
@@ -127,8 +127,8 @@ pub fn render_book() -> Result<PathBuf> {
         })
     };
     for page in &pages {
-        let text = links::rewrite_targets(&page.text, &mut |target| {
-            let (path, anchor) = links::split_anchor(target);
+        let text = markdown_links::rewrite_link_targets(&page.text, &mut |target| {
+            let (path, anchor) = markdown_links::split_anchor(target);
             if path.is_empty() || target.contains("://") {
                 return None;
             }
@@ -178,7 +178,7 @@ mod tests {
         assert!(faults.is_empty(), "{}", faults.join("\n"));
         // Not because nothing was looked at.
         assert!(read_book_pages(&project_root()).expect("as above").len() > 20);
-        assert!(links::checked_documents(&project_root()).expect("as above").len() > 40);
+        assert!(markdown_links::checked_documents(&project_root()).expect("as above").len() > 40);
     }
 
     #[test]

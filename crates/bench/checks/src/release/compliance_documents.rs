@@ -50,7 +50,7 @@ const COPIED_DOCUMENTS: [&str; 4] = [
 /// # Errors
 /// A tool cannot be built or fails.
 pub(super) fn write_documents(source: &Path, folder: &Path) -> Result<Vec<String>> {
-    let mut fetch = cargo::locked_command("fetch");
+    let mut fetch = cargo::locked_cargo_command("fetch");
     process::run(fetch.arg("--quiet").current_dir(source))?;
     for product in &PRODUCTS {
         write_sbom(product, source, folder)?;
@@ -60,7 +60,7 @@ pub(super) fn write_documents(source: &Path, folder: &Path) -> Result<Vec<String
         let name = Path::new(text).file_name().context("a paper has a name")?;
         fs::copy(source.join(text), folder.join(name)).with_context(|| text.to_owned())?;
     }
-    let (advisories, missing) = supply_chain::vulnerability_report()?;
+    let (advisories, missing) = supply_chain::build_vulnerability_report()?;
     fs::write(folder.join("vulnerabilities.txt"), advisories)?;
     Ok(missing.into_iter().collect())
 }

@@ -24,10 +24,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use trueup_emulator::{images, process, setup};
+use trueup_emulator::{process, release_images, setup};
 use trueup_signature::PrivateKey;
 
-use crate::{cargo, debian};
+use crate::{cargo, debian_package};
 
 /// A platform that the tool is built for.
 struct Platform {
@@ -71,7 +71,7 @@ pub struct Release {
 pub fn create_release(key: Option<&Path>) -> Result<Release> {
     // Before anything is built: an error minutes later would go unnoticed.
     let private = key.map(read_private_key).transpose()?;
-    let again = reproducible_build::build_reproducibly(key.zip(private.as_ref()))?;
+    let again = reproducible_build::build_release_twice(key.zip(private.as_ref()))?;
     let folder = release_folder();
     let mut held_out = describe_unavailable_platforms();
     held_out.extend(compliance_documents::write_documents(&again, &folder)?);
@@ -122,7 +122,7 @@ fn file_names(folder: &Path) -> Result<Vec<String>> {
 /// Returns a sentence for each platform that cannot be built here.
 fn describe_unavailable_platforms() -> Vec<String> {
     let why = |platform| {
-        missing_requirement(platform, has_standard_library, |program| {
+        find_missing_requirement(platform, has_standard_library, |program| {
             process::find_on_path(program).is_some()
         })
     };
@@ -140,22 +140,22 @@ pub fn build_release_files() -> Result<()> {
     }
     fs::create_dir_all(&folder)?;
     // Before the tool, which carries them.
-    copy_files(&images::build_bundled_images()?, &folder)?;
+    copy_files(&release_images::build_bundled_images()?, &folder)?;
     let built: Vec<&Platform> = PLATFORMS
         .iter()
         .filter(|platform| {
-            missing_requirement(platform, has_standard_library, |program| {
+            find_missing_requirement(platform, has_standard_library, |program| {
                 process::find_on_path(program).is_some()
             })
             .is_none()
         })
         .collect();
-    built.iter().try_for_each(|platform| package_platform(platform, &root, &folder))?;
-    let mut packages = vec![debian::build_host_package()?];
+    built.iter().try_for_each(|platform| package_for_platform(platform, &root, &folder))?;
+    let mut packages = vec![debian_package::build_host_package()?];
     for Platform { target, .. } in
         built.iter().filter(|platform| !platform.is_windows && !is_host_target(platform.target))
     {
-        packages.push(debian::build_package_for_target(target)?);
+        packages.push(debian_package::build_package_for_target(target)?);
     }
     for package in packages {
         let name = package.file_name().context("a package has a name")?;
@@ -172,7 +172,7 @@ fn has_standard_library(target: &str) -> bool {
 }
 
 /// Why a platform cannot be built here, with the lines that change it; `None`: it can.
-fn missing_requirement(
+fn find_missing_requirement(
     platform: &Platform,
     has_library: impl Fn(&str) -> bool,
     has_program: impl Fn(&str) -> bool,
@@ -204,9 +204,9 @@ fn is_host_target(target: &str) -> bool {
 }
 
 /// Builds the tool for a platform and packs it.
-fn package_platform(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
+fn package_for_platform(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
-    let mut build = cargo::locked_command("build");
+    let mut build = cargo::locked_cargo_command("build");
     build.args(["--release", "--package", "trueup-cli"]);
     // This computer's own is built once, for the archive and for the package.
     let is_own = is_host_target(target);
@@ -226,7 +226,7 @@ fn package_platform(platform: &Platform, root: &Path, folder: &Path) -> Result<(
     let built = built.join("release").join(tool);
     fs::copy(&built, content.join(tool)).with_context(|| built.display().to_string())?;
     if !is_windows {
-        let library = debian::build_bridge_library((!is_own).then_some(target))?;
+        let library = debian_package::build_bridge_library((!is_own).then_some(target))?;
         fs::copy(&library, content.join(library.file_name().context("a library has a name")?))?;
     }
     for text in ["README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
@@ -307,15 +307,15 @@ mod tests {
         let all = |_: &str| true;
         let none = |_: &str| false;
         for platform in &PLATFORMS {
-            assert_eq!(missing_requirement(platform, all, all), None);
+            assert_eq!(find_missing_requirement(platform, all, all), None);
         }
-        let message = missing_requirement(arm, none, none).expect("nothing is there");
+        let message = find_missing_requirement(arm, none, none).expect("nothing is there");
         assert_eq!(
             message,
             "aarch64-unknown-linux-gnu is skipped; first: rustup target add aarch64-unknown-linux-gnu; \
              sudo apt-get install gcc-aarch64-linux-gnu"
         );
-        let message = missing_requirement(windows, all, none).expect("no linker");
+        let message = find_missing_requirement(windows, all, none).expect("no linker");
         assert!(message.ends_with("sudo apt-get install gcc-mingw-w64-x86-64"), "{message}");
         assert!(!own.is_windows && windows.is_windows);
     }

@@ -18,7 +18,7 @@ use trueup_signature::PrivateKey;
 ///
 /// # Errors
 /// There are changes that are in no commit, something does not build, or the files differ; with their names.
-pub(super) fn build_reproducibly(key: Option<(&Path, &PrivateKey)>) -> Result<PathBuf> {
+pub(super) fn build_release_twice(key: Option<(&Path, &PrivateKey)>) -> Result<PathBuf> {
     let root = setup::project_root();
     let keys = match key {
         Some((private, key)) => {

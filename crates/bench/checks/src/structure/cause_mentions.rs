@@ -4,7 +4,7 @@
 //! number), the list of the pages, the virtual machine tool, which must not share a word with the
 //! model that is tried on it, and tests. Names that are ordinary words (`backlash`, `step`) cannot be distinguished from these and are excluded.
 
-use super::source::{SourceFile, contains_word};
+use super::source_file::{SourceFile, contains_word};
 
 /// The causes whose names cannot mean anything else.
 const UNAMBIGUOUS_CAUSE_NAMES: &[&str] = &[
@@ -41,13 +41,13 @@ const UNAMBIGUOUS_CAUSE_NAMES: &[&str] = &[
 const CAUSE_FOLDER: &str = "crates/model/machine/src/effect/";
 
 /// Returns the cause that is named in most places, and these as `file:line`.
-pub(crate) fn most_mentioned_cause(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
+pub(crate) fn find_most_mentioned_cause(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
     let counted =
-        UNAMBIGUOUS_CAUSE_NAMES.iter().map(|&cause| (cause, find_mentions(sources, cause)));
+        UNAMBIGUOUS_CAUSE_NAMES.iter().map(|&cause| (cause, find_cause_mentions(sources, cause)));
     counted.max_by_key(|(_, places)| places.len()).expect("the list is not empty")
 }
 
-fn find_mentions(sources: &[SourceFile], cause: &str) -> Vec<String> {
+fn find_cause_mentions(sources: &[SourceFile], cause: &str) -> Vec<String> {
     let snake = cause.replace('-', "_");
     let camel: String = cause.split('-').map(capitalise).collect();
     let (quoted, module) = (format!("\"{cause}\""), format!("{snake}::"));
@@ -99,7 +99,7 @@ mod tests {
             at("crates/model/machine/src/effect/scalar_cause/sensor.rs"),
             at("crates/model/machine/src/effect/mod.rs"),
         ];
-        let (cause, places) = most_mentioned_cause(&sources);
+        let (cause, places) = find_most_mentioned_cause(&sources);
         assert_eq!(cause, "cutting-load");
         assert_eq!(places, ["crates/x/src/a.rs:2", "crates/x/src/a.rs:3"]);
     }

@@ -1,6 +1,6 @@
 //! Closure arguments that do not say what they are.
 
-use super::source::{SourceFile, is_identifier_byte};
+use super::source_file::{SourceFile, is_identifier_byte};
 
 /// The name that says nothing.
 const PLACEHOLDER_ARGUMENT: &[u8] = b"it";
@@ -10,7 +10,7 @@ pub(super) fn find_placeholder_arguments(sources: &[SourceFile]) -> Vec<String> 
     let mut found = Vec::new();
     for source in sources {
         let code = source.code_with_tests().into_bytes();
-        for place in closures_with_placeholder(&code) {
+        for place in find_closures_with_placeholder(&code) {
             let line = 1 + code[..place].iter().filter(|byte| **byte == b'\n').count();
             found.push(format!("{}:{line}", source.path));
         }
@@ -19,10 +19,10 @@ pub(super) fn find_placeholder_arguments(sources: &[SourceFile]) -> Vec<String> 
 }
 
 /// Returns where the bars stand that open the arguments of such closures.
-fn closures_with_placeholder(code: &[u8]) -> Vec<usize> {
+fn find_closures_with_placeholder(code: &[u8]) -> Vec<usize> {
     let mut found = Vec::new();
     let mut at = 0;
-    while let Some(open) = find_bar(code, at) {
+    while let Some(open) = find_closure_bar(code, at) {
         at = open + 1;
         if code.get(at) == Some(&b'|') {
             // No arguments, or the operator.
@@ -32,7 +32,7 @@ fn closures_with_placeholder(code: &[u8]) -> Vec<usize> {
         if !is_closure_start(&code[..open]) {
             continue;
         }
-        let Some(close) = find_bar(code, at) else { break };
+        let Some(close) = find_closure_bar(code, at) else { break };
         let arguments = &code[at..close];
         // A bar between the patterns of a match arm whose first one is in quotes.
         if arguments.windows(2).any(|pair| pair == b"=>") {
@@ -49,7 +49,7 @@ fn closures_with_placeholder(code: &[u8]) -> Vec<usize> {
     found
 }
 
-fn find_bar(code: &[u8], from: usize) -> Option<usize> {
+fn find_closure_bar(code: &[u8], from: usize) -> Option<usize> {
     code[from..].iter().position(|byte| *byte == b'|').map(|place| from + place)
 }
 

@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::source::{SourceFile, is_identifier_byte};
+use super::source_file::{SourceFile, is_identifier_byte};
 
 /// Files that need each other.
 pub(crate) struct DependencyCycle {

@@ -2,7 +2,7 @@
 //!
 //! A campaign whose name does not begin with `campaign_` runs in the long tier, for minutes and unnoticed.
 
-use super::source::SourceFile;
+use super::source_file::SourceFile;
 
 /// The attribute as it stands at the beginning of a line.
 const IGNORE_ATTRIBUTE: &str = "#[ignore";

@@ -8,7 +8,7 @@ use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result};
 
-use super::source::SourceFile;
+use super::source_file::SourceFile;
 
 /// Counted words of one kind that 10,000 words may have.
 pub(super) const MAX_OCCURRENCES_PER_10_000_WORDS: f64 = 2.0;
@@ -169,7 +169,7 @@ pub(crate) fn analyse_language(root: &Path, sources: &[SourceFile]) -> Result<La
             continue;
         }
         found.nowhere.extend(find_forbidden_references(&source.path, &source.text));
-        let comments = comment_lines(&source.text);
+        let comments = extract_comments(&source.text);
         found.phrases.extend(find_replaced_phrases(&source.path, &strip_code(&comments)));
         found.phrases.extend(find_replaced_message_phrases(source));
         found.missing_files.extend(find_missing_files(&source.path, &comments, sources));
@@ -235,7 +235,7 @@ fn doc_comments(text: &str) -> String {
 }
 
 /// Returns the comments of a file, each on its line; the other lines are empty.
-fn comment_lines(text: &str) -> String {
+fn extract_comments(text: &str) -> String {
     let comment = |line: &str| {
         let line = line.trim_start();
         line.starts_with("//").then(|| line.trim_start_matches(['/', '!']).to_owned())
@@ -424,7 +424,7 @@ mod tests {
         let phrases = find_replaced_phrases("a.md", &strip_code(text));
         assert_eq!(phrases, ["a.md:1: set aside -> excluded as outliers"]);
         let comments =
-            comment_lines("fn x() {} // no\n    /// See `b.rs`, `src/a.rs` and `a.rs`.\n");
+            extract_comments("fn x() {} // no\n    /// See `b.rs`, `src/a.rs` and `a.rs`.\n");
         let sources = [SourceFile::new("crates/x/src/a.rs", "")];
         assert_eq!(find_missing_files("y.rs", &comments, &sources), ["y.rs:2: b.rs"]);
     }

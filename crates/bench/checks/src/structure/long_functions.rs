@@ -1,6 +1,6 @@
 //! Functions that are too long to be read at once.
 
-use super::source::{SourceFile, is_identifier_byte};
+use super::source_file::{SourceFile, is_identifier_byte};
 
 /// Lines that a function may have, from its name to its last brace.
 pub(crate) const MAX_FUNCTION_LINES: usize = 100;
@@ -17,10 +17,10 @@ pub(crate) struct LongFunction {
 
 /// Returns all functions above [`MAX_FUNCTION_LINES`] lines, tests and examples included.
 pub(crate) fn find_long_functions(sources: &[SourceFile]) -> Vec<LongFunction> {
-    sources.iter().flat_map(long_functions_of_file).collect()
+    sources.iter().flat_map(find_long_functions_in_file).collect()
 }
 
-fn long_functions_of_file(source: &SourceFile) -> Vec<LongFunction> {
+fn find_long_functions_in_file(source: &SourceFile) -> Vec<LongFunction> {
     let code = source.code_with_tests();
     let bytes = code.as_bytes();
     let mut found = Vec::new();

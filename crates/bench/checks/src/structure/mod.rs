@@ -6,28 +6,28 @@
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
 //! twenty-nine. Each is counted here and red above its limit.
 
+mod ambiguous_type_names;
 mod cause_mentions;
 mod closure_arguments;
+mod crate_layers;
+pub mod declared_names;
 mod dependency_cycles;
+mod forbidden_uses;
 mod ignored_tests;
 mod language;
-mod layers;
 mod long_functions;
 mod module_cycles;
-pub mod names;
 mod public_items;
-mod source;
+mod source_file;
 mod thresholds;
-mod type_names;
 mod undeclared_modules;
-mod walls;
 
 use std::{collections::BTreeMap, fmt::Write as _, fs, path::Path};
 
 use anyhow::{Result, ensure};
 
 use language::{LanguageReport, MAX_OCCURRENCES_PER_10_000_WORDS, MIN_VERB_FIRST_DOC_PERCENT};
-use source::SourceFile;
+use source_file::SourceFile;
 
 /// Lines that a source file may have, its tests included.
 const MAX_FILE_LINES: usize = 500;
@@ -75,7 +75,7 @@ struct CountLimits {
     stale: usize,
 }
 
-const LIMITS: CountLimits = CountLimits {
+const COUNT_LIMITS: CountLimits = CountLimits {
     circles: 0,
     long_files: 0,
     long_functions: 0,
@@ -134,7 +134,7 @@ impl CountReport {
 /// # Errors
 /// A count is above its limit (the error has the whole report), or a file cannot be read.
 pub fn check_structure(root: &Path) -> Result<String> {
-    let sources = source::read_sources(root)?;
+    let sources = source_file::read_sources(root)?;
     let circles = dependency_cycles::find_cycles(&sources);
     let long: Vec<&SourceFile> = sources
         .iter()
@@ -142,10 +142,10 @@ pub fn check_structure(root: &Path) -> Result<String> {
             source.line_count() > MAX_FILE_LINES && !TABLE_FILES.contains(&source.path.as_str())
         })
         .collect();
-    let (cause, places) = cause_mentions::most_mentioned_cause(&sources);
+    let (cause, places) = cause_mentions::find_most_mentioned_cause(&sources);
 
     let mut report = CountReport::default();
-    report.write_count("circles of files", circles.len(), LIMITS.circles)?;
+    report.write_count("circles of files", circles.len(), COUNT_LIMITS.circles)?;
     for circle in &circles {
         writeln!(report.text, "    {}", circle.files.join(", "))?;
         for (from, to, line) in &circle.uses {
@@ -156,80 +156,83 @@ pub fn check_structure(root: &Path) -> Result<String> {
     report.write_count(
         &format!("files above {MAX_FILE_LINES} lines"),
         long.len(),
-        LIMITS.long_files,
+        COUNT_LIMITS.long_files,
     )?;
     for source in &long {
         writeln!(report.text, "    {:5}  {}", source.line_count(), source.path)?;
     }
     let long = long_functions::find_long_functions(&sources);
     let what = format!("functions above {} lines", long_functions::MAX_FUNCTION_LINES);
-    report.write_count(&what, long.len(), LIMITS.long_functions)?;
+    report.write_count(&what, long.len(), COUNT_LIMITS.long_functions)?;
     for it in &long {
         writeln!(report.text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
     }
     let public = public_items::find_unused_items(&sources, &public_items::read_packages(root)?);
+    let unseen = undeclared_modules::find_undeclared_files(&sources);
+    let unseen = unseen.into_iter().map(str::to_owned).collect();
     let what = format!("public items that nothing outside their crate names, of {}", public.all);
     for (what, found, limit) in [
-        ("arrows up", layers::find_upward_dependencies(root)?, LIMITS.arrows),
-        ("names used behind a wall", walls::find_forbidden_uses(&sources), LIMITS.breaches),
-        ("crates without a layer", layers::crates_without_layer(root)?, LIMITS.strangers),
+        ("arrows up", crate_layers::find_upward_dependencies(root)?, COUNT_LIMITS.arrows),
         (
-            "files that the format check does not see",
-            undeclared_modules::find_undeclared_files(&sources)
-                .into_iter()
-                .map(str::to_owned)
-                .collect(),
-            LIMITS.unseen,
+            "names used behind a wall",
+            forbidden_uses::find_forbidden_uses(&sources),
+            COUNT_LIMITS.breaches,
         ),
+        (
+            "crates without a layer",
+            crate_layers::find_crates_without_layer(root)?,
+            COUNT_LIMITS.strangers,
+        ),
+        ("files that the format check does not see", unseen, COUNT_LIMITS.unseen),
         (
             "ignored tests whose reason and name are of no tier",
             ignored_tests::find_untiered_tests(&sources),
-            LIMITS.without_tier,
+            COUNT_LIMITS.without_tier,
         ),
         (
             "closure arguments named `it`",
             closure_arguments::find_placeholder_arguments(&sources),
-            LIMITS.placeholders,
+            COUNT_LIMITS.placeholders,
         ),
-        (what.as_str(), public.unused, LIMITS.public),
+        (what.as_str(), public.unused, COUNT_LIMITS.public),
     ] {
         report.write_places(what, &found, limit)?;
     }
-    let ambiguous = type_names::find_ambiguous_names(&sources);
+    let ambiguous = ambiguous_type_names::find_ambiguous_names(&sources);
     let what = "names of types with more than two definitions outside tests";
-    report.write_count(what, ambiguous.len(), LIMITS.ambiguous)?;
+    report.write_count(what, ambiguous.len(), COUNT_LIMITS.ambiguous)?;
     for name in ambiguous.iter().take(MAX_LISTED_ENTRIES) {
         writeln!(report.text, "    {name}")?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
-    report.write_places(&what, &places, LIMITS.places)?;
+    report.write_places(&what, &places, COUNT_LIMITS.places)?;
     let thresholds = thresholds::count_thresholds(
         &sources,
         &fs::read_to_string(root.join("docs/thresholds.md"))?,
     );
     let what =
         format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
-    report.write_count(&what, thresholds.decide.len(), LIMITS.thresholds)?;
+    report.write_count(&what, thresholds.decide.len(), COUNT_LIMITS.thresholds)?;
     let language = language::analyse_language(root, &sources)?;
     for (what, found, limit) in [
-        ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
-        ("phrases that have a term of the trade", &language.phrases, LIMITS.phrases),
-        ("files that are named and not there", &language.missing_files, LIMITS.missing_files),
-        ("tables without a head", &language.cut_tables, LIMITS.cut_tables),
-        ("thresholds of the finder that are elsewhere", &thresholds.stale, LIMITS.stale),
+        ("references that lead nowhere", &language.nowhere, COUNT_LIMITS.nowhere),
+        ("phrases that have a term of the trade", &language.phrases, COUNT_LIMITS.phrases),
+        ("files that are named and not there", &language.missing_files, COUNT_LIMITS.missing_files),
+        ("tables without a head", &language.cut_tables, COUNT_LIMITS.cut_tables),
+        ("thresholds of the finder that are elsewhere", &thresholds.stale, COUNT_LIMITS.stale),
     ] {
         report.write_places(what, found, limit)?;
     }
     let CountReport { mut text, mut over } = report;
-    write_lines_by_crate(&mut text, &sources)?;
+    write_line_counts_by_crate(&mut text, &sources)?;
     over.extend(write_language_report(&mut text, &language)?);
     ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
     Ok(text)
 }
 
 /// Writes how many lines are code, in all, by room (a folder of `crates`) and by crate.
-fn write_lines_by_crate(text: &mut String, sources: &[SourceFile]) -> Result<()> {
-    let tests = undeclared_modules::find_test_files(sources);
+fn write_line_counts_by_crate(text: &mut String, sources: &[SourceFile]) -> Result<()> {
+    let tests = undeclared_modules::find_test_only_files(sources);
     let mut crates = BTreeMap::<(&str, &str), usize>::new();
     for source in sources.iter().filter(|source| !tests.contains(&source.path)) {
         let parts: Vec<&str> = source.path.splitn(4, '/').collect();
@@ -317,7 +320,7 @@ mod tests {
             SourceFile::new("src/main.rs", "fn main() {}\n"),
         ];
         let mut text = String::new();
-        write_lines_by_crate(&mut text, &sources)?;
+        write_line_counts_by_crate(&mut text, &sources)?;
         let (_, table) = text.split_once("by crate:\n").context("no table")?;
         let words: Vec<&str> = table.split_whitespace().collect();
         assert_eq!(words, ["3", "base", "1", "numerics", "2", "output", "1", "root", "1", "src"]);

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
     dependency_cycles::{CrateModules, crate_modules},
-    source::SourceFile,
+    source_file::SourceFile,
 };
 
 /// The crates that may have modules in circles, and how many. No other may have any.
@@ -28,10 +28,10 @@ pub(super) struct ModuleCycles {
 impl ModuleCycles {
     /// Returns whether more modules are in circles than the crate may have.
     pub(super) fn is_above_limit(&self) -> bool {
-        self.modules.len() > self.limit()
+        self.modules.len() > self.max_modules()
     }
 
-    fn limit(&self) -> usize {
+    fn max_modules(&self) -> usize {
         let allowed =
             MAX_MODULES_IN_CYCLES_BY_CRATE.iter().find(|(package, _)| *package == self.package);
         allowed.map_or(0, |(_, limit)| *limit)
@@ -40,7 +40,7 @@ impl ModuleCycles {
     /// Returns `crate: modules`, and below it each use if the crate is above its limit.
     pub(super) fn format_lines(&self) -> Vec<String> {
         let modules: Vec<&str> = self.modules.iter().map(String::as_str).collect();
-        let (count, limit) = (modules.len(), self.limit());
+        let (count, limit) = (modules.len(), self.max_modules());
         let mut lines =
             vec![format!("{}: {count} (at most {limit}): {}", self.package, modules.join(", "))];
         if self.is_above_limit() {
@@ -53,10 +53,10 @@ impl ModuleCycles {
 /// Returns the crates that have modules in circles.
 pub(super) fn find_module_cycles(sources: &[SourceFile]) -> Vec<ModuleCycles> {
     let crates = crate_modules(sources).into_iter();
-    crates.filter_map(|(package, modules)| cycles_of_crate(package, &modules)).collect()
+    crates.filter_map(|(package, modules)| find_cycles_in_crate(package, &modules)).collect()
 }
 
-fn cycles_of_crate(package: &str, files: &CrateModules<'_>) -> Option<ModuleCycles> {
+fn find_cycles_in_crate(package: &str, files: &CrateModules<'_>) -> Option<ModuleCycles> {
     let file_needs = files.module_dependencies();
     let mut needs: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for (from, targets) in &file_needs {

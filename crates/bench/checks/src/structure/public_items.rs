@@ -16,7 +16,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 
-use super::source::{SourceFile, find_item_end, is_identifier_byte};
+use super::source_file::{SourceFile, find_item_end, is_identifier_byte};
 
 /// The kinds of items, and whether it is a type.
 const ITEM_KINDS: &[(&str, bool)] = &[
@@ -129,8 +129,8 @@ pub(crate) fn find_unused_items(sources: &[SourceFile], packages: &[Package]) ->
         let (library, others): (Vec<&SourceFile>, Vec<&SourceFile>) =
             files.iter().copied().partition(|file| is_library_source(&file.path, &package.folder));
         used.extend(others.iter().flat_map(|file| extract_identifiers(&file.code_with_tests())));
-        used.extend(library.iter().flat_map(|file| names_used_externally(file)));
-        used.extend(library.iter().flat_map(|file| macro_declared_names(file)));
+        used.extend(library.iter().flat_map(|file| collect_externally_used_names(file)));
+        used.extend(library.iter().flat_map(|file| collect_macro_declared_names(file)));
         let items = library
             .iter()
             .filter(|file| !file.is_test())
@@ -178,7 +178,7 @@ fn extract_identifiers(code: &str) -> Vec<String> {
 
 /// Returns the names in examples of the documentation, in macros that other crates call, and in the types that an
 /// implementation of a trait names.
-fn names_used_externally(source: &SourceFile) -> Vec<String> {
+fn collect_externally_used_names(source: &SourceFile) -> Vec<String> {
     let mut found = Vec::new();
     let mut is_example = false;
     for line in source.text.lines() {
@@ -200,7 +200,7 @@ fn names_used_externally(source: &SourceFile) -> Vec<String> {
 }
 
 /// Returns the names in the arguments of macros that declare public items, and next to `pub` in these macros.
-fn macro_declared_names(source: &SourceFile) -> Vec<String> {
+fn collect_macro_declared_names(source: &SourceFile) -> Vec<String> {
     const MACRO_RULES: &str = "macro_rules! ";
     let code = &source.code;
     let mut found = Vec::new();
@@ -234,7 +234,7 @@ struct PublicItem {
 
 fn public_items(source: &SourceFile) -> Vec<PublicItem> {
     let code = &source.code;
-    let private = private_module_ranges(code);
+    let private = find_private_module_ranges(code);
     let mut found = Vec::new();
     for (at, _) in code.match_indices("pub ") {
         let is_end_of_name =
@@ -275,7 +275,7 @@ fn public_items(source: &SourceFile) -> Vec<PublicItem> {
 }
 
 /// Returns where the modules are that a file has in itself and for itself.
-fn private_module_ranges(code: &str) -> Vec<Range<usize>> {
+fn find_private_module_ranges(code: &str) -> Vec<Range<usize>> {
     let is_private =
         |at: usize| code[..at].rsplit('\n').next().is_some_and(|part| part.trim().is_empty());
     let starts = code.match_indices("mod ").map(|(at, _)| at).filter(|at| is_private(*at));

@@ -5,10 +5,10 @@
 
 use std::collections::BTreeSet;
 
-use super::source::SourceFile;
+use super::source_file::SourceFile;
 
 /// The finder's code.
-const DIAGNOSE_SOURCE: &str = "crates/analysis/diagnose/src/";
+const DIAGNOSE_SOURCE_FOLDER: &str = "crates/analysis/diagnose/src/";
 /// The column of the table that says where a number is: its name, then its file.
 const LOCATION_COLUMN: usize = 3;
 
@@ -24,7 +24,8 @@ pub(crate) struct ThresholdReport {
 
 /// Counts the named numbers of `sources` that the `table` names, and the others.
 pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> ThresholdReport {
-    let is_finder = |file: &&SourceFile| file.path.starts_with(DIAGNOSE_SOURCE) && !file.is_test();
+    let is_finder =
+        |file: &&SourceFile| file.path.starts_with(DIAGNOSE_SOURCE_FOLDER) && !file.is_test();
     let finder: Vec<&SourceFile> = sources.iter().filter(is_finder).collect();
     let mut found = ThresholdReport { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
     let mut file = String::new();

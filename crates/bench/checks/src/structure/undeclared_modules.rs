@@ -5,26 +5,27 @@
 
 use std::collections::BTreeSet;
 
-use super::source::{SourceFile, is_identifier_byte};
+use super::source_file::{SourceFile, is_identifier_byte};
 
 /// Returns the paths of the source files that no plain `mod` line declares.
 pub(crate) fn find_undeclared_files(sources: &[SourceFile]) -> Vec<&str> {
     let paths: BTreeSet<&str> = sources.iter().map(|source| source.path.as_str()).collect();
-    let declared = |source: &SourceFile| declared_files(&source.path, &source.text);
+    let declared = |source: &SourceFile| declared_module_paths(&source.path, &source.text);
     let seen: BTreeSet<String> = sources.iter().flat_map(declared).collect();
     paths.into_iter().filter(|path| !is_crate_root(path) && !seen.contains(*path)).collect()
 }
 
 /// Returns the paths of the files that are compiled for tests alone: `#[cfg(test)] mod name;` declares them.
-pub(crate) fn find_test_files(sources: &[SourceFile]) -> BTreeSet<String> {
+pub(crate) fn find_test_only_files(sources: &[SourceFile]) -> BTreeSet<String> {
     let of_tests = |source: &SourceFile| {
-        &declared_files(&source.path, &source.text) - &declared_files(&source.path, &source.words)
+        &declared_module_paths(&source.path, &source.text)
+            - &declared_module_paths(&source.path, &source.words)
     };
     sources.iter().flat_map(of_tests).collect()
 }
 
 /// Returns the paths at which the modules may be that the `text` of a file declares.
-fn declared_files(path: &str, text: &str) -> BTreeSet<String> {
+fn declared_module_paths(path: &str, text: &str) -> BTreeSet<String> {
     let mut files = BTreeSet::new();
     for (name, attribute) in parse_module_declarations(text) {
         let below = match attribute {
@@ -129,7 +130,7 @@ mod tests {
     fn a_module_that_is_declared_for_tests_is_a_test_file() {
         let text = "mod code;\n#[cfg(test)]\nmod cuts;\n#[cfg(test)]\nmod tests { fn f() {} }";
         let sources = [SourceFile::new("crates/x/src/lib.rs", text)];
-        let found = find_test_files(&sources);
+        let found = find_test_only_files(&sources);
         assert!(found.contains("crates/x/src/cuts.rs"), "{found:?}");
         assert!(!found.contains("crates/x/src/code.rs"), "{found:?}");
     }

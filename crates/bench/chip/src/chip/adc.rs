@@ -1,4 +1,4 @@
-//! The three converters' registers (RM0090 section 13.13): `conversion.rs` has what they do.
+//! The three converters' registers (RM0090 section 13.13): `adc_conversion.rs` has what they do.
 
 pub(super) mod registers;
 
@@ -6,7 +6,7 @@ use super::Chip;
 use crate::{
     memory_map::ADC_OFFSET_MASK,
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND},
+    simulation_time::{NEVER, TICKS_PER_SECOND},
 };
 use registers::*;
 
@@ -82,7 +82,7 @@ impl Default for Adc {
 
 impl Adc {
     /// After a reset: what was counted stays.
-    pub(crate) fn after_reset(&self) -> Adc {
+    pub(crate) fn to_reset_state(&self) -> Adc {
         let Adc { conversions, injections, first_at, last_at, .. } = *self;
         Adc { conversions, injections, first_at, last_at, ..Adc::default() }
     }

@@ -6,7 +6,7 @@ use super::Chip;
 use crate::{
     frame::CanFrame,
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND},
+    simulation_time::{NEVER, TICKS_PER_SECOND},
 };
 use registers::*;
 use std::collections::VecDeque;
@@ -110,7 +110,7 @@ impl Can {
             ..Can::default()
         }
     }
-    pub(crate) fn esr(&self) -> u32 {
+    pub(crate) fn read_esr(&self) -> u32 {
         let (t, r) = (self.tec.min(255), self.rec.min(255));
         u32::from(t >= 96 || r >= 96)
             | u32::from(t >= 128 || r >= 128) << ESR_EPVF_SHIFT
@@ -119,7 +119,7 @@ impl Can {
             | t << ESR_TEC_SHIFT
             | r << ESR_REC_SHIFT
     }
-    pub(crate) fn tsr(&self) -> u32 {
+    pub(crate) fn read_tsr(&self) -> u32 {
         let mut v = 0;
         for (i, m) in self.mb.iter().enumerate() {
             v |= m.flags << (TSR_MAILBOX_BITS * i);
@@ -182,7 +182,7 @@ impl Chip {
                     | u32::from(matches!(c.current, Some((FrameSender::Cnc, _)))) << MSR_RXM_SHIFT
                     | MSR_RX_SAMP
             }
-            TSR_OFFSET => c.tsr(),
+            TSR_OFFSET => c.read_tsr(),
             RF0R_OFFSET | RF1R_OFFSET => {
                 let f = (off as usize - RF0R_OFFSET as usize) / 4;
                 c.fifo[f].len() as u32
@@ -190,7 +190,7 @@ impl Chip {
                     | u32::from(c.over[f]) << RFR_FOVR_SHIFT
             }
             IER_OFFSET => c.ier,
-            ESR_OFFSET => c.esr(),
+            ESR_OFFSET => c.read_esr(),
             BTR_OFFSET => c.btr,
             TI0R_OFFSET..=TDH2R_OFFSET => {
                 let m = &c.mb[(off as usize - TI0R_OFFSET as usize) / MAILBOX_STRIDE];

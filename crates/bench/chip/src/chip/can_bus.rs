@@ -7,7 +7,7 @@ use super::{
 use crate::{
     frame::CanFrame,
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND, ms_to_ticks},
+    simulation_time::{NEVER, TICKS_PER_SECOND, ms_to_ticks},
 };
 
 impl Chip {
@@ -103,7 +103,7 @@ impl Chip {
     }
 
     pub(crate) fn record_can_error(&mut self, lec: u32, tec: u32) {
-        let before = self.can.esr();
+        let before = self.can.read_esr();
         self.can.lec = lec;
         self.can.tec += tec;
         if self.can.tec > 255 {
@@ -114,7 +114,7 @@ impl Chip {
                 self.can.mode_at = self.now + self.recessive_wait_ticks();
             }
         }
-        let after = self.can.esr();
+        let after = self.can.read_esr();
         let ier = self.can.ier;
         if (after & !before & ESR_STATES & ier >> IER_STATE_SHIFT) != 0 || ier & IER_LECIE != 0 {
             self.can.erri = true;

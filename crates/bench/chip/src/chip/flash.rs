@@ -5,7 +5,7 @@ pub(super) mod registers;
 use super::{Chip, FLAG_PROGRAMMING_CHANGED, script_playback::RANDOM_MULTIPLIER};
 use crate::{
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
+    simulation_time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
 };
 use registers::*;
 use std::sync::atomic::Ordering;
@@ -346,7 +346,7 @@ impl Chip {
         self.flash.stats.words += 1;
         // DS8626, flash memory programming, a word: 16 µs typical, 100 at most.
         self.set_flash_busy(us_to_ticks(if self.world.slow_flash { 100 } else { 16 }));
-        self.on_flash_word_write();
+        self.handle_flash_word_write();
     }
 
     /// A write to the array that nothing was set up for: RM0090 3.9.5, PGSERR. The firmware did not ask for
@@ -360,7 +360,7 @@ impl Chip {
     }
 
     /// The supply goes: of a word in flight some bits are written, of a sector some words are erased.
-    pub(crate) fn interrupt_flash_operation(&mut self, seed: u64) {
+    pub(crate) fn abort_flash_operation(&mut self, seed: u64) {
         if self.flash.busy_until > self.now && !self.flash.before.1.is_empty() {
             let (at, old) = std::mem::take(&mut self.flash.before);
             let mut new = vec![0; old.len()];

@@ -5,7 +5,7 @@ pub(super) mod registers;
 use super::{Chip, rcc::registers::RCC_CSR_LSIRDY};
 use crate::{
     report::Severity,
-    time::{TICKS_PER_SECOND, ms_to_ticks},
+    simulation_time::{TICKS_PER_SECOND, ms_to_ticks},
 };
 use registers::*;
 

@@ -4,11 +4,11 @@
 //! or leaves undefined goes into the report, next to what silicon would do.
 
 mod adc;
-mod backup;
-mod bus;
+mod adc_conversion;
+mod backup_domain;
+mod bus_access;
 mod can;
 mod can_bus;
-mod conversion;
 mod crc;
 mod dma;
 mod fault_injection;
@@ -27,11 +27,11 @@ mod world_step;
 use crate::{
     processor::{InterruptLines, Memories, Memory},
     report::{Severity, SimulationReport},
-    time::NEVER,
+    simulation_time::NEVER,
     world::World,
 };
 use adc::{Adc, Adcs};
-use backup::{BackupDomain, registers::PWR_CR_RESET};
+use backup_domain::{BackupDomain, registers::PWR_CR_RESET};
 use can::Can;
 use crc::Crc;
 use dma::Dma;
@@ -304,7 +304,8 @@ impl Chip {
         self.crc = Crc::default();
         self.tims = Tim::all_timers();
         self.tim11 = Tim11::default();
-        self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::after_reset), ..Adcs::default() };
+        self.adc =
+            Adcs { unit: self.adc.unit.each_ref().map(Adc::to_reset_state), ..Adcs::default() };
         self.dma = Default::default();
         self.can = Can::after_reset();
         self.uart = [Uart::after_reset(), Uart::after_reset()];

@@ -5,8 +5,8 @@ pub(crate) mod registers;
 use super::{
     Chip,
     adc::Adcs,
-    backup::registers::PWR_CR_VOS,
-    bus::{BUS_NAMES, CLOCK_GATES},
+    backup_domain::registers::PWR_CR_VOS,
+    bus_access::{BUS_NAMES, CLOCK_GATES},
     can::Can,
     crc::Crc,
     dma::Dma,
@@ -20,7 +20,7 @@ use super::{
 use crate::{
     memory_map::*,
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
+    simulation_time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
 };
 use registers::*;
 use std::sync::atomic::Ordering;

@@ -32,9 +32,9 @@ pub struct Rtc {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum WriteProtectionState {
-    Closed,
-    Half,
-    Open,
+    Locked,
+    FirstKeyWritten,
+    Unlocked,
 }
 
 impl Default for Rtc {
@@ -52,7 +52,7 @@ impl Default for Rtc {
             starts_at: 0,
             locked_time: None,
             locked_date: None,
-            key: WriteProtectionState::Closed,
+            key: WriteProtectionState::Locked,
             backup: [0; 20],
         }
     }
@@ -158,8 +158,9 @@ impl Chip {
         self.update_rtc_calendar();
         let division = self.backup.rtc.cycles_per_second();
         // A clock that stands still has counted, by the crystal's rate: no other has VBAT.
-        let cycle =
-            self.rtcclk_period_ticks().unwrap_or(crate::time::TICKS_PER_SECOND / self.world.lse_hz);
+        let cycle = self
+            .rtcclk_period_ticks()
+            .unwrap_or(crate::simulation_time::TICKS_PER_SECOND / self.world.lse_hz);
         let cycles = self.backup.rtc.counted / cycle;
         (cycles / division, cycles % division)
     }
@@ -237,7 +238,7 @@ impl Chip {
         self.update_rtc_calendar();
         let now = self.now;
         // 26.3.5: of ISR only bits 13:8 are not behind the keys, and they are not modelled; nor are the backup registers.
-        let is_open = self.backup.rtc.key == WriteProtectionState::Open;
+        let is_open = self.backup.rtc.key == WriteProtectionState::Unlocked;
         if !is_open && !matches!(off, ISR_OFFSET | WPR_OFFSET | BKP0R_OFFSET..=BKP19R_OFFSET) {
             return self.report_violation(format!(
                 "RTC: {off:#x} written while the keys are not (26.3.5)"
@@ -280,10 +281,16 @@ impl Chip {
             PRER_OFFSET => rtc.prescalers = v & PRER_MASK,
             WPR_OFFSET => {
                 rtc.key = match (rtc.key, v & WPR_KEY_MASK) {
-                    (WriteProtectionState::Closed, WPR_KEY1) => WriteProtectionState::Half,
-                    (WriteProtectionState::Half, WPR_KEY2) => WriteProtectionState::Open,
-                    (WriteProtectionState::Open, WPR_KEY1) => WriteProtectionState::Half,
-                    _ => WriteProtectionState::Closed,
+                    (WriteProtectionState::Locked, WPR_KEY1) => {
+                        WriteProtectionState::FirstKeyWritten
+                    }
+                    (WriteProtectionState::FirstKeyWritten, WPR_KEY2) => {
+                        WriteProtectionState::Unlocked
+                    }
+                    (WriteProtectionState::Unlocked, WPR_KEY1) => {
+                        WriteProtectionState::FirstKeyWritten
+                    }
+                    _ => WriteProtectionState::Locked,
                 }
             }
             BKP0R_OFFSET..=BKP19R_OFFSET => {

@@ -7,18 +7,18 @@ use super::{
     },
 };
 use crate::{
+    can_ids::*,
     frame::{CanFrame, build_protected_frame, compute_e2e_crc},
-    link::*,
     processor::SRAM_SIZE,
-    script::Script,
-    time::us_to_ticks,
+    script::StimulusScript,
+    simulation_time::us_to_ticks,
 };
 
 /// 2^64 divided by the golden ratio: its multiples spread over 64 bits.
 pub(crate) const RANDOM_MULTIPLIER: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// The bit of the checksum that a damaged command has wrong.
-const CRC_DAMAGE_BIT: u8 = 0x10;
+const CRC_DAMAGE_MASK: u8 = 0x10;
 /// The 29 bits of an extended identifier.
 const EXTENDED_ID_MASK: u32 = 0x1fff_ffff;
 /// First standard identifier that strangers draw: the one after the board's emergencies.
@@ -50,13 +50,13 @@ impl Chip {
     }
 
     /// A flash word is being written.
-    pub(crate) fn on_flash_word_write(&mut self) {
+    pub(crate) fn handle_flash_word_write(&mut self) {
         let Some(s) = &mut self.world.script else { return };
         if s.cut_in > 0 {
             s.cut_in -= 1;
             if s.cut_in == 0 {
-                let seed = s.next_random();
-                self.interrupt_flash_operation(seed);
+                let seed = s.next_random_bits();
+                self.abort_flash_operation(seed);
                 self.simulate_power_loss(seed, 0);
                 self.request_reset(
                     RCC_CSR_PORRSTF | RCC_CSR_PINRSTF | RCC_CSR_BORRSTF,
@@ -82,7 +82,7 @@ impl Chip {
     }
 
     /// A line whose time has come.
-    fn execute_script_line(&mut self, s: &mut Script, at: u64, words: &[String]) {
+    fn execute_script_line(&mut self, s: &mut StimulusScript, at: u64, words: &[String]) {
         let now = self.now;
         let number = |i: usize| parse_number(words, i);
         match words[0].as_str() {
@@ -161,7 +161,7 @@ impl Chip {
             }
             "lse" => self.set_lse_running(number(1) != 0.0),
             "cut" => s.cut_in = number(1) as u64,
-            // As `reset`, if no `interrupt_flash_operation` has come before it.
+            // As `reset`, if no `abort_flash_operation` has come before it.
             "reset_if_uncut" if s.cut_in == 0 => {}
             "reset" | "reset_if_uncut" => self.execute_script_reset(s, words),
             _ if self.inject_fault(words) => {}
@@ -170,7 +170,7 @@ impl Chip {
     }
 
     /// Resets the board, as `power`, `pin`, `watchdog`, `brown_out` or by software.
-    fn execute_script_reset(&mut self, s: &mut Script, words: &[String]) {
+    fn execute_script_reset(&mut self, s: &mut StimulusScript, words: &[String]) {
         let (cause, why) = match words[1].as_str() {
             "power" => (RCC_CSR_PORRSTF | RCC_CSR_PINRSTF | RCC_CSR_BORRSTF, "power"),
             "pin" => (RCC_CSR_PINRSTF, "pin"),
@@ -179,9 +179,9 @@ impl Chip {
             "brown_out" => (RCC_CSR_PINRSTF | RCC_CSR_BORRSTF, "brown-out"),
             _ => (RCC_CSR_SFTRSTF | RCC_CSR_PINRSTF, "software (forced)"),
         };
-        let seed = s.next_random();
+        let seed = s.next_random_bits();
         s.cut_in = 0;
-        self.interrupt_flash_operation(seed);
+        self.abort_flash_operation(seed);
         if why == "power" {
             self.simulate_power_loss(
                 seed,
@@ -192,7 +192,7 @@ impl Chip {
     }
 
     /// The CNC's own commands, whole or damaged, and those of a second master.
-    fn send_control_frames(&mut self, s: &mut Script, n: u64) {
+    fn send_control_frames(&mut self, s: &mut StimulusScript, n: u64) {
         let now = self.now;
         if s.period > 0 && n.is_multiple_of(s.period) {
             let body = [s.flags];
@@ -200,7 +200,7 @@ impl Chip {
                 "crc" => {
                     s.counter = s.counter.wrapping_add(1);
                     let mut f = build_protected_frame(CONTROL_ID, s.counter, &body);
-                    f.data[0] ^= CRC_DAMAGE_BIT;
+                    f.data[0] ^= CRC_DAMAGE_MASK;
                     self.world.queue_can_frame(now, f);
                 }
                 "repeat" => self
@@ -226,7 +226,7 @@ impl Chip {
     }
 
     /// Speed and positions.
-    fn send_motion_frames(&mut self, s: &mut Script, n: u64) {
+    fn send_motion_frames(&mut self, s: &mut StimulusScript, n: u64) {
         let now = self.now;
         if s.spindle && n % 20 == 10 {
             let rpm = s.rpm.to_le_bytes();
@@ -264,10 +264,10 @@ impl Chip {
     }
 
     /// Frames of strangers.
-    fn send_flood_frames(&mut self, s: &mut Script) {
+    fn send_flood_frames(&mut self, s: &mut StimulusScript) {
         let now = self.now;
         for i in 0..s.flood.1 {
-            let r = s.next_random();
+            let r = s.next_random_bits();
             let data = (r ^ r.rotate_left(23)).to_le_bytes();
             let mut f = CanFrame::new(FOREIGN_FRAME_ID, &data);
             match s.flood.0.as_str() {
@@ -322,7 +322,7 @@ impl Chip {
     }
 
     /// Puts the script's bytes, or noise, on the serial line.
-    fn queue_serial_bytes(&mut self, s: &mut Script) {
+    fn queue_serial_bytes(&mut self, s: &mut StimulusScript) {
         let now = self.now;
         if !s.serial.is_empty() {
             let most = if s.serial_rate > 0 {
@@ -332,7 +332,7 @@ impl Chip {
             };
             while self.world.wires[0].to_board.len() < most {
                 let bytes: Vec<u8> = if s.serial == b"noise" {
-                    (0..8).map(|_| s.next_random() as u8).collect()
+                    (0..8).map(|_| s.next_random_bits() as u8).collect()
                 } else {
                     s.serial.clone()
                 };

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND, ticks_to_nanos},
+    simulation_time::{NEVER, TICKS_PER_SECOND, ticks_to_nanos},
 };
 use registers::*;
 

@@ -4,12 +4,12 @@ pub(super) mod registers;
 
 use super::{
     Chip,
-    conversion::ConversionGroup::{Injected, Regular},
+    adc_conversion::ConversionGroup::{Injected, Regular},
 };
 use crate::{
     memory_map::*,
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND},
+    simulation_time::{NEVER, TICKS_PER_SECOND},
 };
 use registers::*;
 

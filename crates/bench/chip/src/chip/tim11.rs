@@ -50,7 +50,8 @@ impl Chip {
             return None;
         }
         let prescaler = 1 << (t.ccmr1 >> CCMR1_IC1PSC_SHIFT & CCMR1_IC1PSC_MASK);
-        let cycles = u128::from(division * prescaler) * u128::from(crate::time::TICKS_PER_SECOND);
+        let cycles =
+            u128::from(division * prescaler) * u128::from(crate::simulation_time::TICKS_PER_SECOND);
         Some((cycles / u128::from(self.world.crystal_hz)) as u64)
     }
 

@@ -5,8 +5,8 @@ pub(super) mod registers;
 use super::{Chip, fault_injection::SerialDisturbance, gpio::registers::MODE_OUTPUT};
 use crate::{
     report::Severity,
-    time::{NEVER, TICKS_PER_SECOND},
-    wire::Parity,
+    serial_line::Parity,
+    simulation_time::{NEVER, TICKS_PER_SECOND},
 };
 use registers::*;
 
@@ -237,7 +237,7 @@ impl Chip {
     }
 
     /// Returns whether the unit takes the characters of the wire as they are meant (RM0090 30.3.7).
-    fn has_matching_format(&self, n: usize) -> bool {
+    fn has_matching_uart_format(&self, n: usize) -> bool {
         let settings = self.uart[n].cr1 & (CR1_M | CR1_PCE | CR1_PS);
         let meant = match self.world.wires[n].parity {
             Parity::None => 0,
@@ -320,7 +320,7 @@ impl Chip {
                     MODELLED_UARTS[n].name
                 ));
             }
-            let agrees = self.has_matching_format(n);
+            let agrees = self.has_matching_uart_format(n);
             if self.uart[n].sr & SR_RXNE != 0 {
                 self.uart[n].sr |= SR_ORE;
                 self.uart[n].overruns += 1;

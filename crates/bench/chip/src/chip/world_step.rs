@@ -1,8 +1,8 @@
 //! The world outside, once a millisecond: the CNC speaks, and the client of the serial line.
 
 use super::Chip;
-use crate::link::{CONTROL_ID, POSITION_IDS, SPINDLE_ID};
-use crate::time::{ms_to_ticks, us_to_ticks};
+use crate::can_ids::{CONTROL_ID, POSITION_IDS, SPINDLE_ID};
+use crate::simulation_time::{ms_to_ticks, us_to_ticks};
 
 impl Chip {
     /// Once a millisecond: the CNC's frames, and what the serial line's client has sent.

@@ -1,7 +1,7 @@
 //! The backup domain and the RTC (sections 5.1.2, 5.4, 7.3.20, 26).
 
 use super::bench::{Bench, RCC};
-use trueup_chip::time::{ms_to_ticks, us_to_ticks};
+use trueup_chip::simulation_time::{ms_to_ticks, us_to_ticks};
 
 const PWR: u32 = 0x4000_7000;
 const RTC: u32 = 0x4000_2800;

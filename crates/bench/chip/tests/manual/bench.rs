@@ -5,7 +5,7 @@ use trueup_chip::{
     chip::{Chip, InjectedFaults},
     processor::Memories,
     report::Severity,
-    time::NEVER,
+    simulation_time::NEVER,
     world::{StimulusPlan, World},
 };
 

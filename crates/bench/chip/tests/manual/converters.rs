@@ -3,7 +3,7 @@
 use crate::bench::{ADC1, Bench, DMA2, GPIOA, RCC, TIM3, clocked};
 use trueup_chip::{
     report::Severity,
-    time::{ms_to_ticks, us_to_ticks},
+    simulation_time::{ms_to_ticks, us_to_ticks},
 };
 
 const ADC2: u32 = ADC1 + 0x100;
@@ -31,7 +31,7 @@ fn remarks(bench: &Bench) -> usize {
 
 /// Ticks of this many cycles of the converter.
 fn cycles(count: u64) -> u64 {
-    count * trueup_chip::time::TICKS_PER_SECOND / CLOCK_HZ
+    count * trueup_chip::simulation_time::TICKS_PER_SECOND / CLOCK_HZ
 }
 
 #[test]

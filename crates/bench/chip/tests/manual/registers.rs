@@ -6,7 +6,7 @@ use crate::bench::{
 };
 use trueup_chip::{
     chip::InjectedFaults,
-    time::{ms_to_ticks, us_to_ticks},
+    simulation_time::{ms_to_ticks, us_to_ticks},
 };
 
 #[test]

@@ -1,7 +1,7 @@
 //! The manual's statements on the serial units, tried on USART3 with a wire of RS-485. Section numbers are RM0090's.
 
 use crate::bench::{Bench, GPIOB, RCC, clocked};
-use trueup_chip::{report::Severity, time::us_to_ticks};
+use trueup_chip::{report::Severity, simulation_time::us_to_ticks};
 
 const USART3: u32 = 0x4000_4800;
 /// UE, M, PCE, RXNEIE, TE, RE; and without M and PCE.

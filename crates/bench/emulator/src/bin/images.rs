@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match trueup_emulator::images::build_bundled_images() {
+    match trueup_emulator::release_images::build_bundled_images() {
         Ok(folder) => {
             trueup_output::write_line_best_effort(folder.display());
             ExitCode::SUCCESS

@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 use super::{OffsetEntryPoint, plant::SAMPLER_PINS};
 
 /// The travel of X, Y and Z in mm, from 0.
-pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
+pub(crate) const AXIS_TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
 /// The share of an axis' speed and acceleration that external offsets get.
 pub(crate) const OFFSET_AV_RATIO: f64 = 0.0025;
 /// The feed along the diagonal in mm/min.
@@ -112,7 +112,7 @@ MAX_FORWARD_VELOCITY = 24000
         format!("MAX_VELOCITY = {velocity}\nMAX_ACCELERATION = {acceleration}\n")
     };
     let speeds = [1_000.0, 1_000.0, 600.0];
-    for (joint, (axis, travel_mm)) in ["X", "Y", "Z"].iter().zip(TRAVEL_MM).enumerate() {
+    for (joint, (axis, travel_mm)) in ["X", "Y", "Z"].iter().zip(AXIS_TRAVEL_MM).enumerate() {
         let motion = motion(speeds[joint], 2_000.0);
         let ratio = match port {
             Some(_) => format!("OFFSET_AV_RATIO = {OFFSET_AV_RATIO}\n"),
@@ -122,7 +122,7 @@ MAX_FORWARD_VELOCITY = 24000
         let _ = write!(
             text,
             "[AXIS_{axis}]\nMIN_LIMIT = -5\nMAX_LIMIT = {}\n{motion}{ratio}[JOINT_{joint}]\nTYPE = LINEAR\nMIN_LIMIT = -10\nMAX_LIMIT = {}\n\
-             {motion}{JOINT_INI}",
+             {motion}{JOINT_INI_LINES}",
             travel_mm + 5.0,
             travel_mm + 10.0,
         );
@@ -131,14 +131,14 @@ MAX_FORWARD_VELOCITY = 24000
         let motion = format!("MIN_LIMIT = -200\nMAX_LIMIT = 200\n{}", motion(40.0, 300.0));
         let _ = write!(
             text,
-            "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = ANGULAR\n{motion}{JOINT_INI}"
+            "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = ANGULAR\n{motion}{JOINT_INI_LINES}"
         );
     }
     text
 }
 
 /// A joint that is where it is commanded to be.
-pub(super) const JOINT_INI: &str = "\
+pub(super) const JOINT_INI_LINES: &str = "\
 FERROR = 10
 MIN_FERROR = 10
 HOME = 0
@@ -240,7 +240,7 @@ addf sampler.0 servo-thread
 #[must_use]
 pub(crate) fn path_program(pass: u32, slower: u32) -> String {
     let slow = f64::from(slower);
-    let [x_mm, y_mm, _] = TRAVEL_MM;
+    let [x_mm, y_mm, _] = AXIS_TRAVEL_MM;
     let ([cx, cy], radius, arc_feed) = ARC_CENTRE_RADIUS_FEED;
     let mut text = format!(
         "\

@@ -4,27 +4,27 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context as _, Result};
 use trueup_core::{
-    bridge::{Bridge, State, TickInput},
+    bridge::{Bridge, BridgeState, TickInput},
     cnc::{AxisPosition, CncMessage, Control, LinearAxis, RotaryAxisAngles, TravelDirection},
     units::{MicroDegrees, Position, Rpm, TimestampMs},
 };
 use trueup_machine::{CompiledCalibration, Machine, inputs::TemperatureInput};
-use trueup_virtual_bridge::{front_end::FrontEnd, replay};
+use trueup_virtual_bridge::{analogue_front_end::AnalogueFrontEnd, replay};
 
 use super::plant::ServoCycle;
 
 const NANOMETRES_PER_MM: f64 = 1e6;
 /// Time for which the machine stands before the first cycle, in ms: the offset arrives at the slew limit.
-const SETTLING_MS: usize = 2_000;
+const SETTLING_DURATION_MS: usize = 2_000;
 /// Within the range of any sensor.
 const SENSOR_VOLTS: f64 = 1.5;
-const TEMPERATURE_C: f64 = 20.0;
+const AMBIENT_TEMPERATURE_C: f64 = 20.0;
 
 /// A bridge with the head of its machine straight and its spindle at rest.
 pub(crate) struct HostBridge<'a> {
     bridge: Bridge<'a>,
-    state: State,
-    front_end: FrontEnd,
+    state: BridgeState,
+    front_end: AnalogueFrontEnd,
     temperatures: &'a BTreeMap<String, TemperatureInput>,
     now: TimestampMs,
     before_mm: [f64; 3],
@@ -42,7 +42,7 @@ impl<'a> HostBridge<'a> {
         Ok(Self {
             state: bridge.initial_state(),
             bridge,
-            front_end: FrontEnd::new(sensor.divider, seed),
+            front_end: AnalogueFrontEnd::new(sensor.divider, seed),
             temperatures: &inputs.temperatures,
             now: TimestampMs(0),
             before_mm: [0.0; 3],
@@ -92,9 +92,10 @@ impl<'a> HostBridge<'a> {
 pub(crate) fn requested_offset_um(file: &Machine, cycles: &[&ServoCycle]) -> Result<Vec<[f64; 3]>> {
     let compiled = trueup_machine::compile(file)?;
     let mut bridge = HostBridge::new(&compiled, file, 1)?;
-    let celsius = bridge.temperatures.keys().map(|name| (name.clone(), TEMPERATURE_C)).collect();
+    let celsius =
+        bridge.temperatures.keys().map(|name| (name.clone(), AMBIENT_TEMPERATURE_C)).collect();
     let first = cycles.first().context("there are cycles")?.commanded_mm();
-    for _ in 0..SETTLING_MS {
+    for _ in 0..SETTLING_DURATION_MS {
         bridge.step(first, SENSOR_VOLTS, &celsius);
     }
     let requested = |cycle: &&ServoCycle| {

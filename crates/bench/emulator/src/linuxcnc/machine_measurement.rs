@@ -64,7 +64,7 @@ const POSITION_RUNS: [PositionRun; 3] = [
 ];
 /// Heights at which Z reverses, in mm. They are approached from both sides within seconds, so that what the laser drifts is in
 /// both: on the whole way up and down again it drifts by a tenth of a micrometre.
-const Z_REVERSALS_MM: [f64; 12] = [
+const Z_REVERSAL_POSITIONS_MM: [f64; 12] = [
     100.0, 300.0, 500.0, 700.0, 900.0, 1_100.0, 1_300.0, 1_500.0, 1_700.0, 1_900.0, 2_100.0,
     2_300.0,
 ];
@@ -92,7 +92,7 @@ const WARM_UP_SPEED_SPECTRUM: [(u32, u32); 7] = [
 
 impl PositionRun {
     /// As a piece of a scenario. Slowly, because a screw that moves gets warm.
-    fn segment_toml(&self) -> String {
+    fn to_segment_toml(&self) -> String {
         let Self { axis, range_mm: [first, last], targets, spread_mm, cycles, .. } = self;
         format!(
             "[[segment]]\nkind = \"positions\"\naxis = \"{axis}\"\nrange_mm = [{first:?}, {last:?}]\n\
@@ -120,7 +120,7 @@ impl MeasuredMachine {
     ///
     /// # Errors
     /// A time is not a number.
-    pub(crate) fn accelerated_machine_file(&self, factor: u32) -> Result<String> {
+    pub(crate) fn time_compressed_machine_file(&self, factor: u32) -> Result<String> {
         let hurry = |line: &str| -> Result<String> {
             let Some((key, value)) = line.split_once(" = ") else { return Ok(line.into()) };
             if !TIME_KEYS.contains(&key) {
@@ -194,12 +194,12 @@ pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMa
         let csv = format!("{axis}.csv");
         let measured = [*across, &["dz"]].concat();
         let own: &[&str] = if *axis == "z" { &measured } else { across };
-        simulate(axis, scenario_toml(own, 1, &positions.segment_toml())?, *seed)?;
+        simulate(axis, scenario_toml(own, 1, &positions.to_segment_toml())?, *seed)?;
         for quantity in *across {
             fit(&["straightness", "--run", &csv, "--quantity", quantity])?;
         }
     }
-    let segments = WARM_SCREW_RUN.segment_toml() + WARM_UP_SEGMENT_TOML;
+    let segments = WARM_SCREW_RUN.to_segment_toml() + WARM_UP_SEGMENT_TOML;
     simulate("screw", scenario_toml(&["dz"], 6, &segments)?, MEASUREMENT_SEEDS[4])?;
     let pitch = ["pitch", "--run", "z.csv", "--quantity", "dz"];
     let by_screw = ["--temperature", "temp_screw_c"];
@@ -214,7 +214,8 @@ pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMa
         let range_mm = [z_mm, z_mm + 20.0];
         PositionRun { axis: "z", range_mm, targets: 2, spread_mm: 0.0, cycles: 5, across: &[] }
     };
-    let segments: String = Z_REVERSALS_MM.map(|z_mm| reversal(z_mm).segment_toml()).concat();
+    let segments: String =
+        Z_REVERSAL_POSITIONS_MM.map(|z_mm| reversal(z_mm).to_segment_toml()).concat();
     simulate("reversals", scenario_toml(&["dz"], 1, &segments)?, MEASUREMENT_SEEDS[5])?;
     fit(&["backlash", "--run", "reversals.csv", "--axis", "z"])?;
     let findings =

@@ -10,13 +10,13 @@
 //!
 //! | part | is | file |
 //! |---|---|---|
-//! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`headless`], [`config`] |
+//! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`headless_linuxcnc`], [`config`] |
 //! | component | `trueup linuxcnc`, wired by `integrations/linuxcnc/trueup.hal` | |
-//! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | [`bridge`] |
-//! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
+//! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | [`emulated_bridge`] |
+//! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | [`slcan_adapter`] |
 //! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
 //! | machine file | measured on the twin, fitted, diagnosed | `machine_measurement` |
-//! | figures | from every servo cycle | [`figures`], [`page`] |
+//! | figures | from every servo cycle | [`loop_results`], [`html_report`] |
 //! | how far the backlash goes up and down | the staircase without LinuxCNC, again and again | [`repeatability`] |
 //!
 //! Tests that need a control and no bridge start the LinuxCNC of [`simulated_joints`].
@@ -34,19 +34,18 @@
 //! Without a board it is the same: the servo thread is in real time, and the machine file has short time constants from the
 //! start, because LinuxCNC reads it once. While the axes move the machine is cold, and they decide nothing.
 
-pub mod adapter;
-pub mod bridge;
 pub mod config;
-pub mod figures;
-pub mod headless;
+mod emulated_bridge;
+pub mod headless_linuxcnc;
 mod host_bridge;
+pub mod html_report;
+pub mod loop_results;
 pub(crate) mod machine_measurement;
-pub mod page;
 pub mod plant;
 pub mod repeatability;
 mod setup_config;
 pub mod simulated_joints;
-pub(crate) mod stale_shared_memory;
+mod slcan_adapter;
 
 use std::{
     fs,
@@ -64,13 +63,13 @@ use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::SimulatedMachine as Twin;
 
 use self::{
-    bridge::{BridgeImages, EmulatedBridge, Wiring},
-    figures::{LoopFigures, RunRecord},
-    headless::HeadlessLinuxCnc,
+    emulated_bridge::{BridgeImages, BridgeWiring, EmulatedBridge},
+    headless_linuxcnc::HeadlessLinuxCnc,
+    loop_results::{LoopFigures, RunRecord},
     machine_measurement::{LOOP_SEED, MeasuredMachine},
     plant::RunningPlant,
 };
-use crate::{chip, firmware, host_programs, setup};
+use crate::{chip, firmware_images, host_programs, setup};
 
 /// How many times faster the machine lives through the warm-up: in QEMU than the wall, with the board, if
 /// this computer is fast enough; on the model of the chip than the board.
@@ -128,7 +127,7 @@ impl CompensationRoute {
 }
 
 /// The warm-up in seconds of the machine.
-pub(crate) const WARM_UP_S: u32 = 7_200;
+pub(crate) const WARM_UP_DURATION_S: u32 = 7_200;
 /// The first pass of the path, without compensation, and the second, with it; then the warm-up.
 pub(crate) const PASS_NUMBERS: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
@@ -141,7 +140,7 @@ const CONVERTER_NOISE_SEED: u64 = 77;
 /// the model of the chip.
 ///
 /// # Errors
-/// Something does not run. What is not reached is not an error here: `Figures::ensure_all_checks_met` says it.
+/// Something does not run. What is not reached is not an error here: `Figures::ensure_all_checks_passed` says it.
 pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
     let on = way.on;
     let started = Instant::now();
@@ -160,16 +159,18 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
         bar.set_message(what.to_owned());
     };
 
-    let Some((trueup, measured, images)) = prepare(way, &announce)? else { return Ok(None) };
+    let Some((trueup, measured, images)) = build_and_measure(way, &announce)? else {
+        return Ok(None);
+    };
 
     announce("starting the bridge and LinuxCNC");
     let twin = machine_measurement::load_twin_scenario()?;
     let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
     let temperatures = inputs.temperatures.clone();
-    let wiring = Wiring { temperatures, divider: sensor.divider, seed: CONVERTER_NOISE_SEED };
+    let wiring = BridgeWiring { temperatures, divider: sensor.divider, seed: CONVERTER_NOISE_SEED };
     let bridge = EmulatedBridge::start(images, wiring)?;
-    let slower = bridge.time_stretch();
+    let slower = bridge.slowdown_factor();
     if slower > 1 {
         announce(&format!(
             "a second of the board is given {slower} of the wall, and so is the CNC's"
@@ -213,9 +214,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
     // Without a board there is no line.
     let of_line: &[&str] = match on {
         BridgePlatform::Servo => &[],
-        BridgePlatform::Qemu | BridgePlatform::Chip => {
-            &["crc-errors", "seq-errors", "lost", "malformed"]
-        }
+        _ => &["crc-errors", "seq-errors", "lost", "malformed"],
     };
     let names = [of_line, &["fault"]].concat();
     let pins: Vec<String> = names.iter().map(|name| format!("trueup.0.{name}")).collect();
@@ -243,7 +242,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
 }
 
 /// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
-fn prepare(
+fn build_and_measure(
     way: CompensationRoute,
     announce: &impl Fn(&str),
 ) -> Result<Option<(PathBuf, MeasuredMachine, BridgeImages)>> {
@@ -251,8 +250,8 @@ fn prepare(
     let trueup = host_programs::build_trueup()?;
     // The image, the program that is the chip, or the library of the component.
     let firmware = match way.on {
-        BridgePlatform::Qemu => Some(firmware::build_virtual_board_image()?),
-        BridgePlatform::Chip => chip::build()?,
+        BridgePlatform::Qemu => Some(firmware_images::build_virtual_board_image()?),
+        BridgePlatform::Chip => chip::build_model()?,
         BridgePlatform::Servo => Some(host_programs::build_servo_library()?),
     };
     let Some(firmware) = firmware else { return Ok(None) };
@@ -276,7 +275,7 @@ fn prepare(
 ///
 /// # Errors
 /// It does not run, or a figure is not reached; with the figure.
-pub fn run_and_write_report(way: CompensationRoute) -> Result<Option<u32>> {
+pub fn run_loop_and_write_report(way: CompensationRoute) -> Result<Option<u32>> {
     let Some(figures) = run(way)? else {
         trueup_output::write_line_best_effort(
             "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip",
@@ -287,12 +286,12 @@ pub fn run_and_write_report(way: CompensationRoute) -> Result<Option<u32>> {
     let folder = setup::project_root().join(&shown);
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
-    fs::write(folder.join("report.html"), page::render_page(&figures))?;
+    fs::write(folder.join("report.html"), html_report::render_page(&figures))?;
     trueup_output::write_line_best_effort(figures.format_table());
     trueup_output::write_line_best_effort(format_args!(
         "\nThe picture: {shown}/report.html   The figures: {shown}/summary.json"
     ));
-    figures.ensure_all_checks_met().map(Some)
+    figures.ensure_all_checks_passed().map(Some)
 }
 
 /// Returns the calibrations for real time and for compressed time, which differ in the limits that count
@@ -312,9 +311,9 @@ fn build_images(measured: &MeasuredMachine, folder: &str) -> Result<[PathBuf; 2]
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
         fs::write(&machine, text)?;
-        firmware::build_image_for_machine(&machine)
+        firmware_images::build_image_for_machine(&machine)
     };
-    let hurried = measured.accelerated_machine_file(TIME_COMPRESSION)?;
+    let hurried = measured.time_compressed_machine_file(TIME_COMPRESSION)?;
     Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
 }
 
@@ -413,7 +412,7 @@ fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> Re
         thread::sleep(Duration::from_millis(5));
     }
     plant.set_time_factor(TIME_COMPRESSION);
-    while lived_s(plant) - from_s < f64::from(WARM_UP_S) {
+    while lived_s(plant) - from_s < f64::from(WARM_UP_DURATION_S) {
         plant.check_running()?;
         cnc.is_program_running()?;
         ensure!(

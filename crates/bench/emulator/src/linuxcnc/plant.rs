@@ -30,7 +30,7 @@ use std::{
 use anyhow::{Context as _, Result, anyhow, bail};
 use trueup_twin::machine::{DriveCommand, SimulatedMachine};
 
-use super::bridge::EmulatedBridge;
+use super::emulated_bridge::EmulatedBridge;
 use crate::board::MAX_BATCH_BLOCKS;
 
 /// At real time the board may fall behind the clock by this much before its time slips. Compressed time
@@ -135,7 +135,7 @@ type FrameCounts = Option<(u64, u64)>;
 /// The running machine.
 pub struct RunningPlant {
     shared: Arc<LoopState>,
-    to_loop: Sender<Sample>,
+    to_loop: Sender<HalSample>,
     thread: Option<JoinHandle<Result<FrameCounts>>>,
     slower: u32,
     address: String,
@@ -149,7 +149,7 @@ impl RunningPlant {
     /// # Errors
     /// The bridge listens nowhere.
     pub fn start(bridge: EmulatedBridge, twin: SimulatedMachine) -> Result<Self> {
-        let (address, slower) = (bridge.address()?, bridge.time_stretch());
+        let (address, slower) = (bridge.address()?, bridge.slowdown_factor());
         let (library, channels) =
             (bridge.component_library().map(Path::to_path_buf), bridge.temperature_channels());
         let shared = Arc::new(LoopState { factor: AtomicU32::new(1), ..LoopState::default() });
@@ -182,7 +182,7 @@ impl RunningPlant {
         let (to_loop, shared) = (self.to_loop.clone(), self.shared.clone());
         thread::spawn(move || {
             for line in BufReader::new(lines).lines().map_while(Result::ok) {
-                match Sample::parse(&line) {
+                match HalSample::parse(&line) {
                     Some(sample) if to_loop.send(sample).is_ok() => {}
                     Some(_) => return,
                     // `overrun`: nothing was kept of some cycles.
@@ -220,7 +220,7 @@ impl RunningPlant {
     /// It has.
     pub(crate) fn check_running(&mut self) -> Result<()> {
         if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
-            self.join()?;
+            self.stop_and_join()?;
             bail!("the loop has ended");
         }
         Ok(())
@@ -231,7 +231,7 @@ impl RunningPlant {
     /// # Errors
     /// It had ended before, for a reason of its own.
     pub fn finish(mut self) -> Result<(Vec<ServoCycle>, LoopResult)> {
-        let traffic = self.join()?;
+        let traffic = self.stop_and_join()?;
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let account = LoopResult {
             board_ms: load(&self.shared.board_ms),
@@ -242,7 +242,7 @@ impl RunningPlant {
         Ok((std::mem::take(&mut lock(&self.shared.cycles)), account))
     }
 
-    fn join(&mut self) -> Result<FrameCounts> {
+    fn stop_and_join(&mut self) -> Result<FrameCounts> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let thread = self.thread.take().context("the loop has ended before")?;
         thread.join().map_err(|_| anyhow!("the loop has panicked"))?
@@ -253,7 +253,7 @@ impl Drop for RunningPlant {
     fn drop(&mut self) {
         if self.thread.is_some() {
             // The reason of its end is reported by its owner.
-            self.join().ok();
+            self.stop_and_join().ok();
         }
     }
 }
@@ -264,12 +264,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// A servo cycle, as `sampler` has recorded it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Sample {
+struct HalSample {
     number: u64,
     pins: [f64; SAMPLER_PINS.len()],
 }
 
-impl Sample {
+impl HalSample {
     /// Returns the cycle's number, then the pins.
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_ascii_whitespace();
@@ -309,7 +309,7 @@ fn round_to_u32(value: f64) -> u32 {
 struct SimulationLoop {
     with: SimulatedMachine,
     without: SimulatedMachine,
-    samples: Receiver<Sample>,
+    samples: Receiver<HalSample>,
     shared: Arc<LoopState>,
     /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
@@ -319,7 +319,7 @@ struct SimulationLoop {
 }
 
 impl SimulationLoop {
-    fn new(twin: SimulatedMachine, samples: Receiver<Sample>, shared: Arc<LoopState>) -> Self {
+    fn new(twin: SimulatedMachine, samples: Receiver<HalSample>, shared: Arc<LoopState>) -> Self {
         Self {
             with: twin.clone(),
             without: twin,
@@ -363,7 +363,7 @@ impl SimulationLoop {
                 owed_ms = 0.0;
             }
             let due = owed_ms.floor().min(f64::from(MAX_BATCH_BLOCKS));
-            self.process_samples(bridge.time_stretch())?;
+            self.process_samples(bridge.slowdown_factor())?;
             if bridge.is_clocked_by_cnc() && self.last_received.is_none() {
                 owed_ms = 0.0;
                 thread::sleep(POLL_INTERVAL);
@@ -384,7 +384,7 @@ impl SimulationLoop {
     fn is_cnc_alive(&self, bridge: &EmulatedBridge) -> bool {
         let moves =
             self.last_received.is_some_and(|received| received.elapsed() < CNC_SILENCE_TIMEOUT);
-        moves && bridge.has_received_within(CNC_SILENCE_TIMEOUT)
+        moves && bridge.has_received_from_cnc_within(CNC_SILENCE_TIMEOUT)
     }
 
     /// Lets the board live through this many milliseconds of the machine as it stands.
@@ -407,7 +407,7 @@ impl SimulationLoop {
             // Frames within a millisecond of the board belong to it.
             return Ok(());
         }
-        let samples: Vec<Sample> = self.samples.try_iter().collect();
+        let samples: Vec<HalSample> = self.samples.try_iter().collect();
         if samples.is_empty() {
             if self.last_received.is_some_and(|received| received.elapsed() > REALTIME_TIMEOUT) {
                 bail!("LinuxCNC's real-time part has been silent for {REALTIME_TIMEOUT:?}");
@@ -467,11 +467,11 @@ mod tests {
     #[test]
     fn a_line_of_the_sampler_is_a_cycle() {
         let sample =
-            Sample::parse("17 1 2 3 90 -30 0.01 0.02 -0.03 24000 150 4 2 ").expect("whole");
+            HalSample::parse("17 1 2 3 90 -30 0.01 0.02 -0.03 24000 150 4 2 ").expect("whole");
         let cycle = sample.to_servo_cycle();
         assert_eq!((cycle.number, cycle.phase, cycle.pass), (17, 4, 2));
         assert_eq!((cycle.head_deg, cycle.commanded_mm()[2]), ([90.0, -30.0], 3.03));
         assert_eq!(sample.load_n(), 150.0);
-        assert_eq!(Sample::parse("overrun"), None);
+        assert_eq!(HalSample::parse("overrun"), None);
     }
 }

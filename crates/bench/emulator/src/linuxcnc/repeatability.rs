@@ -54,7 +54,7 @@ impl StaircasePath {
 }
 
 /// Returns the reduction of the backlash in a run, in percent, as the loop states it.
-fn backlash_reduction_percent(
+fn simulate_backlash_reduction_percent(
     compiled: &CompiledCalibration,
     file: &Machine,
     path: &StaircasePath,
@@ -102,7 +102,7 @@ fn backlash_reduction_percent(
 ///
 /// # Errors
 /// The machine cannot be measured.
-pub fn print_reductions(count: u64) -> Result<()> {
+pub fn run_repeatability_test(count: u64) -> Result<()> {
     let trueup = host_programs::build_trueup()?;
     let work = tempfile::tempdir()?;
     let measured: MeasuredMachine = machine_measurement::measure_machine(&trueup, work.path())?;
@@ -117,7 +117,7 @@ pub fn print_reductions(count: u64) -> Result<()> {
     ] {
         let compiled = compile(file)?;
         let mut all: Vec<f64> = (0..count)
-            .map(|n| backlash_reduction_percent(&compiled, file, &path, LOOP_SEED + n))
+            .map(|n| simulate_backlash_reduction_percent(&compiled, file, &path, LOOP_SEED + n))
             .collect::<Result<_>>()?;
         all.sort_by(f64::total_cmp);
         let at = |share: f64| all[((all.len() - 1) as f64 * share).round() as usize];

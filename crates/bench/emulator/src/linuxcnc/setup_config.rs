@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 use super::{
     BridgePlatform, CompensationRoute, OffsetEntryPoint, TIME_COMPRESSION, config,
-    headless::HeadlessLinuxCnc, machine_measurement::MeasuredMachine, plant::RunningPlant,
+    headless_linuxcnc::HeadlessLinuxCnc, machine_measurement::MeasuredMachine, plant::RunningPlant,
 };
 use crate::setup;
 
@@ -45,7 +45,7 @@ pub fn start(
                 command.args(words).arg(&out).arg("--library").arg(library)
             })?;
             hal += &inputs_hal(channels, &here, plant.address());
-            (measured.accelerated_machine_file(TIME_COMPRESSION)?, vec!["--no-board"])
+            (measured.time_compressed_machine_file(TIME_COMPRESSION)?, vec!["--no-board"])
         }
         None => (measured.text.clone(), vec!["--port", plant.address()]),
     };

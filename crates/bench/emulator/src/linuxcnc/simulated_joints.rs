@@ -9,8 +9,8 @@ use std::{
 use anyhow::{Context as _, Result};
 
 use super::{
-    config::JOINT_INI,
-    headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
+    config::JOINT_INI_LINES,
+    headless_linuxcnc::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
 };
 use crate::setup::LockedLinuxCnc;
 
@@ -114,7 +114,7 @@ pub fn start_with_settings(
         ["X", "Y", "Z"].iter().zip(axes).enumerate()
     {
         text += &format!(
-            "[AXIS_{name}]\n{limits}[JOINT_{number}]\nTYPE = LINEAR\n{JOINT_INI}{joint}{limits}"
+            "[AXIS_{name}]\n{limits}[JOINT_{number}]\nTYPE = LINEAR\n{JOINT_INI_LINES}{joint}{limits}"
         );
     }
     let text = text

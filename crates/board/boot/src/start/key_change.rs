@@ -6,13 +6,13 @@
 
 use super::*;
 use crate::{
-    header::{HEADER_SIZE, Version},
     image_check::ImageDefect,
+    image_header::{FirmwareVersion, HEADER_SIZE},
     testing::{
-        PowerSupply, PoweredFlash, RECORDS_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey,
+        JOURNAL_SECTOR_BYTES, PowerSupply, PoweredFlash, SLOT_BYTES, TEST_KEY, TestKey,
         flash_by_probe, image_signed_by, with_supply,
     },
-    update::{Update, UpdateError},
+    update::{ImageUpdate, UpdateError},
 };
 use std::{println, vec::Vec};
 use trueup_store::strict_flash::StrictFlash;
@@ -24,7 +24,7 @@ const UNLIMITED_BYTES: usize = usize::MAX / 2;
 
 #[derive(Clone)]
 struct KeyChangeBoard {
-    records: StrictFlash<RECORDS_SECTOR_BYTES>,
+    records: StrictFlash<JOURNAL_SECTOR_BYTES>,
     slots: StrictFlash<SLOT_BYTES>,
 }
 
@@ -42,7 +42,7 @@ impl KeyChangeBoard {
         &mut self,
         supply: &PowerSupply,
         work: impl FnOnce(
-            &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+            &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
             &mut PoweredFlash<SLOT_BYTES>,
         ) -> T,
     ) -> T {
@@ -64,9 +64,9 @@ impl KeyChangeBoard {
     /// Loads a file into slot B, from the image in slot A.
     fn load_update(&mut self, supply: &PowerSupply, file: &[u8]) -> Result<(), UpdateError> {
         self.with_supply(supply, |journal, slots| {
-            let running = read_header(slots, Slot::A, Version::default()).expect("it runs");
+            let running = read_header(slots, Slot::A, FirmwareVersion::default()).expect("it runs");
             let header = file.first_chunk::<HEADER_SIZE>().expect("a header");
-            let mut update = Update::begin(journal, slots, &running, header)?;
+            let mut update = ImageUpdate::begin(journal, slots, &running, header)?;
             for piece in file[HEADER_SIZE..].chunks(7) {
                 update.append(slots, piece)?;
             }

@@ -2,16 +2,16 @@
 
 use super::*;
 use crate::{
-    header::Version,
+    image_header::FirmwareVersion,
     testing::{
-        RECORDS_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey, flash_by_probe, image_signed_by,
+        JOURNAL_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey, flash_by_probe, image_signed_by,
         signed_image,
     },
 };
 use std::vec::Vec;
 use trueup_store::strict_flash::StrictFlash;
 
-type Records = StrictFlash<RECORDS_SECTOR_BYTES>;
+type Records = StrictFlash<JOURNAL_SECTOR_BYTES>;
 type Slots = StrictFlash<SLOT_BYTES>;
 
 /// A board with what is in its flash.
@@ -36,9 +36,10 @@ impl Board {
         let tag = |file: &[u8]| {
             file.get(508..512).map_or(0, |tag| u32::from_le_bytes(tag.try_into().unwrap()))
         };
-        let state = BootState { floor: Version::new(0, floor, 0, 0), ..BootState::default() }
-            .with_status(Slot::A, tag(a), statuses[0])
-            .with_status(Slot::B, tag(b), statuses[1]);
+        let state =
+            BootState { floor: FirmwareVersion::new(0, floor, 0, 0), ..BootState::default() }
+                .with_status(Slot::A, tag(a), statuses[0])
+                .with_status(Slot::B, tag(b), statuses[1]);
         board.change(|journal| journal.commit(state).unwrap());
         board
     }
@@ -81,11 +82,11 @@ fn a_board_that_was_flashed_by_a_probe_starts_and_counts_nothing() {
     let mut board = Board::with(&a(1), &[]);
     let blank = board.records.bytes.clone();
     for _ in 0..10 {
-        assert_eq!(board.power_on(), Some((Slot::A, StartReason::Alone)));
-        assert_eq!(board.reset(), Some((Slot::A, StartReason::Alone)));
+        assert_eq!(board.power_on(), Some((Slot::A, StartReason::OnlyImage)));
+        assert_eq!(board.reset(), Some((Slot::A, StartReason::OnlyImage)));
     }
     assert_eq!(board.records.bytes, blank);
-    assert_eq!(Board::with(&[], &b(1)).power_on(), Some((Slot::B, StartReason::Alone)));
+    assert_eq!(Board::with(&[], &b(1)).power_on(), Some((Slot::B, StartReason::OnlyImage)));
     assert_eq!(Board::with(&[], &[]).power_on(), None);
 }
 
@@ -119,7 +120,7 @@ fn an_image_on_trial_has_five_power_cycles_and_one_reset() {
     for _ in 0..3 {
         assert_eq!(
             board.power_on(),
-            Some((Slot::A, StartReason::WentBack)),
+            Some((Slot::A, StartReason::RolledBack)),
             "not confirmed in time"
         );
     }
@@ -127,7 +128,7 @@ fn an_image_on_trial_has_five_power_cycles_and_one_reset() {
     assert_eq!(board.reset(), Some((Slot::B, StartReason::Trial(1))), "the update's own reset");
     assert_eq!(board.power_on(), Some((Slot::B, StartReason::Trial(2))));
     for _ in 0..3 {
-        assert_eq!(board.reset(), Some((Slot::A, StartReason::WentBack)));
+        assert_eq!(board.reset(), Some((Slot::A, StartReason::RolledBack)));
     }
 }
 
@@ -138,10 +139,10 @@ fn an_announced_reset_is_no_failure_but_counts_as_a_start() {
     for number in 1..=MAX_TRIAL_STARTS {
         assert_eq!(board.reset(), Some((Slot::B, StartReason::Trial(number))));
         let mut slots = board.slots.clone();
-        let running = read_header(&mut slots, Slot::B, Version::default()).unwrap();
+        let running = read_header(&mut slots, Slot::B, FirmwareVersion::default()).unwrap();
         board.change(|journal| crate::update::announce_reset(journal, &running)).unwrap();
     }
-    assert_eq!(board.reset(), Some((Slot::A, StartReason::WentBack)));
+    assert_eq!(board.reset(), Some((Slot::A, StartReason::RolledBack)));
 }
 
 #[test]
@@ -181,7 +182,7 @@ fn below_the_floor_nothing_starts() {
     let mut board = Board::with_status([&a(1), &damaged], CONFIRMED, 2);
     assert_eq!(board.power_on(), None);
     let mut board = Board::with_status([&a(1), &damaged], CONFIRMED, 1);
-    assert_eq!(board.power_on(), Some((Slot::A, StartReason::WentBack)));
+    assert_eq!(board.power_on(), Some((Slot::A, StartReason::RolledBack)));
 }
 
 #[test]
@@ -201,7 +202,7 @@ fn with_a_slow_clock_a_recorded_signature_is_enough_and_an_unknown_one_comes_las
     let verified = [ImageStatus::Confirmed, ImageStatus::Verified];
     assert_eq!(slow([&a(1), &foreign], verified), Some((Slot::B, StartReason::Trial(1))));
     let unknown = [ImageStatus::Confirmed, ImageStatus::New];
-    assert_eq!(slow([&a(1), &b(2)], unknown), Some((Slot::A, StartReason::WentBack)));
+    assert_eq!(slow([&a(1), &b(2)], unknown), Some((Slot::A, StartReason::RolledBack)));
     // With nothing else it is verified after all.
     let unknown = [ImageStatus::New, ImageStatus::New];
     assert_eq!(slow([&a(1), &foreign], unknown).map(|started| started.0), Some(Slot::A));
@@ -209,7 +210,7 @@ fn with_a_slow_clock_a_recorded_signature_is_enough_and_an_unknown_one_comes_las
     // The CRC is checked in any case.
     let mut damaged = b(2);
     damaged[540] ^= 1;
-    assert_eq!(slow([&a(1), &damaged], CONFIRMED), Some((Slot::A, StartReason::WentBack)));
+    assert_eq!(slow([&a(1), &damaged], CONFIRMED), Some((Slot::A, StartReason::RolledBack)));
 }
 
 #[test]
@@ -218,7 +219,7 @@ fn without_another_one_an_incomplete_or_failed_image_that_holds_starts() {
         let mut board = Board::with_status([&[], &b(2)], [ImageStatus::New, status], 0);
         assert_eq!(board.power_on(), Some((Slot::B, StartReason::LastResort)));
         let mut board = Board::with_status([&a(1), &b(2)], [ImageStatus::Confirmed, status], 0);
-        assert_eq!(board.power_on(), Some((Slot::A, StartReason::WentBack)));
+        assert_eq!(board.power_on(), Some((Slot::A, StartReason::RolledBack)));
         let mut damaged = a(1);
         damaged[540] ^= 1;
         let mut board = Board::with_status([&damaged, &b(2)], [ImageStatus::Confirmed, status], 0);
@@ -231,10 +232,10 @@ fn records_that_take_nothing_keep_no_board_from_starting_but_no_trial_begins() {
     let statuses = [ImageStatus::Confirmed, ImageStatus::Verified];
     let mut board = Board::with_status([&a(1), &b(2)], statuses, 0);
     board.records.dead = true;
-    assert_eq!(board.power_on(), Some((Slot::A, StartReason::WentBack)));
+    assert_eq!(board.power_on(), Some((Slot::A, StartReason::RolledBack)));
     let mut board = Board::with(&a(1), &[]);
     board.records.dead = true;
-    assert_eq!(board.power_on(), Some((Slot::A, StartReason::Alone)));
+    assert_eq!(board.power_on(), Some((Slot::A, StartReason::OnlyImage)));
 }
 
 #[test]

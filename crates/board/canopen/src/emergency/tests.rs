@@ -57,7 +57,7 @@ fn each_fault_is_reported_when_it_comes_and_when_it_has_gone() {
         );
         assert_eq!(emergencies_after(&mut all, Faults::default(), 100), [(0, 0, number)]);
         assert_eq!(emergencies_after(&mut all, Faults::default(), 100), []);
-        assert_eq!(all.error(0), Some(u32::from(code) | u32::from(number) << 16));
+        assert_eq!(all.history_entry(0), Some(u32::from(code) | u32::from(number) << 16));
     }
 }
 
@@ -127,10 +127,10 @@ fn the_history_keeps_the_newest() {
     }
     assert_eq!(all.error_count(), ERROR_HISTORY_LEN);
     let newest = Fault::ALL[Fault::ALL.len() - 1];
-    assert_eq!(all.error(0), Some((newest as u32) << 16 | u32::from(newest.code())));
-    assert_eq!(all.error(8), None);
+    assert_eq!(all.history_entry(0), Some((newest as u32) << 16 | u32::from(newest.code())));
+    assert_eq!(all.history_entry(8), None);
     all.clear_history();
-    assert_eq!((all.error_count(), all.error(0)), (0, None));
+    assert_eq!((all.error_count(), all.history_entry(0)), (0, None));
 }
 
 #[test]

@@ -6,7 +6,7 @@
 
 use super::{
     AbortCode, EntryContent, ObjectAccess, ObjectAddress, SEGMENT_BYTES, SEGMENTS_PER_BLOCK,
-    Server, TransferState, encode_message, find_entry,
+    SdoServer, TransferState, encode_message, find_entry,
 };
 
 /// Of a segment's number: nothing follows it.
@@ -38,7 +38,7 @@ pub(super) fn update_crc(crc: u16, byte: u8) -> u16 {
 
 impl BlockDownloadState {
     /// Returns whether a request of this command belongs to the transfer: a segment, or the end behind the last one.
-    pub(super) const fn belongs_to_transfer(&self, command: u8) -> bool {
+    pub(super) const fn is_part_of_transfer(&self, command: u8) -> bool {
         self.is_end_command(command)
             || matches!(command & !LAST_SEGMENT_FLAG, 1..=SEGMENTS_PER_BLOCK)
     }
@@ -65,8 +65,8 @@ impl BlockDownloadState {
     }
 }
 
-impl Server {
-    pub(super) fn start_block(
+impl SdoServer {
+    pub(super) fn start_block_download(
         &mut self,
         at: ObjectAddress,
         command: u8,

@@ -9,7 +9,7 @@ use trueup_link::{
     layout::{SDO_REQUEST_ID, SDO_RESPONSE_ID},
 };
 
-use super::{AbortCode, SEGMENT_BYTES, encode_message, is_toggled, saturate_to_u8};
+use super::{AbortCode, SEGMENT_BYTES, encode_message, is_toggle_bit_set, saturate_to_u8};
 
 mod block_download;
 pub use block_download::BlockDownload;
@@ -18,7 +18,7 @@ pub use crate::dictionary::ObjectAddress;
 
 /// Why a transfer has failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ClientError {
+pub enum SdoClientError {
     /// The server has ended it with this code.
     #[error("object {:04X}:{}: {} (abort code {code:08X})", .at.0, .at.1, text(*.code))]
     Aborted {
@@ -59,7 +59,7 @@ fn text(code: u32) -> &'static str {
         .map_or("refused", AbortCode::description)
 }
 
-impl ClientError {
+impl SdoClientError {
     /// Returns whether the line may be to blame, and the same may be answered when it is requested again: a
     /// request was lost, or an answer.
     #[must_use]
@@ -101,11 +101,11 @@ impl Upload {
     }
 
     /// Counts bytes that have come.
-    fn record_received(&mut self, length: usize) -> Result<(), ClientError> {
+    fn count_received_bytes(&mut self, length: usize) -> Result<(), SdoClientError> {
         self.received = self.received.saturating_add(u32::try_from(length).unwrap_or(u32::MAX));
         let most = self.announced.unwrap_or(self.most).min(self.most);
         if self.received > most {
-            return Err(ClientError::TooLong { at: self.at, most });
+            return Err(SdoClientError::TooLong { at: self.at, most });
         }
         Ok(())
     }
@@ -121,55 +121,57 @@ impl Upload {
     /// before the start is answered, an answer to a request of an earlier client.
     ///
     /// # Errors
-    /// [`ClientError`]: the transfer is over.
+    /// [`SdoClientError`]: the transfer is over.
     pub fn receive(
         &mut self,
         frame: &Frame,
         bytes: &mut impl Extend<u8>,
-    ) -> Result<Progress, ClientError> {
-        let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
+    ) -> Result<TransferProgress, SdoClientError> {
+        let Some(answer) = response_bytes(frame) else { return Ok(TransferProgress::Unchanged) };
         let &[command, _, _, _, a, b, c, d] = answer;
-        let unexpected = ClientError::Unexpected { at: self.at, answer: *answer };
+        let unexpected = SdoClientError::Unexpected { at: self.at, answer: *answer };
         match (command >> 5, self.toggle) {
-            (_, None) if !matches_object(answer, self.at) => Ok(Progress::Unchanged),
+            (_, None) if !matches_object(answer, self.at) => Ok(TransferProgress::Unchanged),
             (4, _) => Err(abort_error(answer, self.at)),
             (2, None) => {
                 if command & 2 == 0 {
                     self.announced = (command & 1 != 0).then(|| u32::from_le_bytes([a, b, c, d]));
                     self.toggle = Some(false);
                     if self.announced.is_some_and(|announced| announced > self.most) {
-                        return Err(ClientError::TooLong { at: self.at, most: self.most });
+                        return Err(SdoClientError::TooLong { at: self.at, most: self.most });
                     }
-                    return Ok(Progress::Ask(request_frame([0x60, 0, 0, 0, 0, 0, 0, 0])));
+                    return Ok(TransferProgress::Request(request_frame([
+                        0x60, 0, 0, 0, 0, 0, 0, 0,
+                    ])));
                 }
                 let unused = if command & 1 != 0 { usize::from(command >> 2 & 3) } else { 0 };
                 let length = 4_usize.saturating_sub(unused);
-                self.record_received(length)?;
+                self.count_received_bytes(length)?;
                 bytes.extend([a, b, c, d].into_iter().take(length));
-                Ok(Progress::Done)
+                Ok(TransferProgress::Done)
             }
             // The answer to an earlier start of the same, which was given up.
-            (2, Some(false)) if matches_object(answer, self.at) => Ok(Progress::Unchanged),
-            (0, Some(toggle)) if is_toggled(command) == toggle => {
+            (2, Some(false)) if matches_object(answer, self.at) => Ok(TransferProgress::Unchanged),
+            (0, Some(toggle)) if is_toggle_bit_set(command) == toggle => {
                 let [_, data @ ..] = answer;
                 let length = SEGMENT_BYTES.saturating_sub(usize::from(command >> 1 & 7));
                 let is_last = command & 1 != 0;
-                self.record_received(length)?;
+                self.count_received_bytes(length)?;
                 // Segments without a byte would have no end.
                 if length == 0 && !is_last {
-                    return Err(ClientError::TooLong { at: self.at, most: self.most });
+                    return Err(SdoClientError::TooLong { at: self.at, most: self.most });
                 }
                 bytes.extend(data.iter().copied().take(length));
                 if is_last {
                     return match self.announced {
                         Some(announced) if announced > self.received => {
-                            Err(ClientError::TooShort { at: self.at })
+                            Err(SdoClientError::TooShort { at: self.at })
                         }
-                        _ => Ok(Progress::Done),
+                        _ => Ok(TransferProgress::Done),
                     };
                 }
                 self.toggle = Some(!toggle);
-                Ok(Progress::Ask(request_frame([
+                Ok(TransferProgress::Request(request_frame([
                     0x60 | u8::from(!toggle) << 4,
                     0,
                     0,
@@ -187,11 +189,11 @@ impl Upload {
 
 /// Progress of a transfer by a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progress {
+pub enum TransferProgress {
     /// It was not an answer.
     Unchanged,
     /// This is to be asked next.
-    Ask(Frame),
+    Request(Frame),
     /// The transfer is done.
     Done,
 }
@@ -236,27 +238,27 @@ impl<'d> Download<'d> {
     /// Takes a frame from the bus, as [`Upload::receive`].
     ///
     /// # Errors
-    /// [`ClientError`]: the transfer is over.
-    pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
-        let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
+    /// [`SdoClientError`]: the transfer is over.
+    pub fn receive(&mut self, frame: &Frame) -> Result<TransferProgress, SdoClientError> {
+        let Some(answer) = response_bytes(frame) else { return Ok(TransferProgress::Unchanged) };
         let &[command, ..] = answer;
         match (command >> 5, self.is_answered) {
-            (_, false) if !matches_object(answer, self.at) => Ok(Progress::Unchanged),
+            (_, false) if !matches_object(answer, self.at) => Ok(TransferProgress::Unchanged),
             (4, _) => Err(abort_error(answer, self.at)),
             (3, false) => {
                 if self.is_expedited {
-                    return Ok(Progress::Done);
+                    return Ok(TransferProgress::Done);
                 }
                 self.is_answered = true;
-                Ok(Progress::Ask(self.encode_segment()))
+                Ok(TransferProgress::Request(self.encode_segment()))
             }
-            (1, true) if is_toggled(command) == self.toggle => {
+            (1, true) if is_toggle_bit_set(command) == self.toggle => {
                 if self.next >= self.data.len() {
-                    return Ok(Progress::Done);
+                    return Ok(TransferProgress::Done);
                 }
-                Ok(Progress::Ask(self.encode_segment()))
+                Ok(TransferProgress::Request(self.encode_segment()))
             }
-            _ => Err(ClientError::Unexpected { at: self.at, answer: *answer }),
+            _ => Err(SdoClientError::Unexpected { at: self.at, answer: *answer }),
         }
     }
 
@@ -281,7 +283,7 @@ fn request_frame(data: [u8; 8]) -> Frame {
 
 /// Ends a transfer whose answer has not come, so that it can be started again.
 #[must_use]
-pub fn timeout_abort(at: ObjectAddress) -> Frame {
+pub fn timeout_abort_frame(at: ObjectAddress) -> Frame {
     request_frame(encode_message(0x80, at, AbortCode::Timeout.code()))
 }
 
@@ -296,9 +298,9 @@ fn matches_object(answer: &[u8; 8], at: ObjectAddress) -> bool {
     (u16::from_le_bytes([low, high]), subindex) == at
 }
 
-fn abort_error(answer: &[u8; 8], at: ObjectAddress) -> ClientError {
+fn abort_error(answer: &[u8; 8], at: ObjectAddress) -> SdoClientError {
     let &[_, _, _, _, a, b, c, d] = answer;
-    ClientError::Aborted { at, code: u32::from_le_bytes([a, b, c, d]) }
+    SdoClientError::Aborted { at, code: u32::from_le_bytes([a, b, c, d]) }
 }
 
 #[cfg(test)]
@@ -327,14 +329,14 @@ mod tests {
         let mut bytes = Vec::new();
         for answer in stale {
             let frame = Frame::from_data(SDO_RESPONSE_ID, answer);
-            assert_eq!(upload.receive(&frame, &mut bytes), Ok(Progress::Unchanged));
-            assert_eq!(download.receive(&frame), Ok(Progress::Unchanged));
+            assert_eq!(upload.receive(&frame, &mut bytes), Ok(TransferProgress::Unchanged));
+            assert_eq!(download.receive(&frame), Ok(TransferProgress::Unchanged));
         }
         let answer = Frame::from_data(SDO_RESPONSE_ID, encode_message(0x4F, at, 3));
-        assert_eq!(upload.receive(&answer, &mut bytes), Ok(Progress::Done));
+        assert_eq!(upload.receive(&answer, &mut bytes), Ok(TransferProgress::Done));
         assert_eq!(bytes, [3]);
         let answer = Frame::from_data(SDO_RESPONSE_ID, encode_message(0x60, at, 0));
-        assert_eq!(download.receive(&answer), Ok(Progress::Done));
+        assert_eq!(download.receive(&answer), Ok(TransferProgress::Done));
     }
 
     #[test]
@@ -344,10 +346,10 @@ mod tests {
         let (mut upload, _) = Upload::start(at);
         let mut bytes = Vec::new();
         let started = frame(encode_message(0x41, at, 7));
-        assert!(matches!(upload.receive(&started, &mut bytes), Ok(Progress::Ask(_))));
-        assert_eq!(upload.receive(&started, &mut bytes), Ok(Progress::Unchanged));
+        assert!(matches!(upload.receive(&started, &mut bytes), Ok(TransferProgress::Request(_))));
+        assert_eq!(upload.receive(&started, &mut bytes), Ok(TransferProgress::Unchanged));
         let all = frame([0x01, 1, 2, 3, 4, 5, 6, 7]);
-        assert_eq!(upload.receive(&all, &mut bytes), Ok(Progress::Done));
+        assert_eq!(upload.receive(&all, &mut bytes), Ok(TransferProgress::Done));
         assert_eq!(bytes, [1, 2, 3, 4, 5, 6, 7]);
     }
 
@@ -382,9 +384,9 @@ mod tests {
                 last = upload.receive(&frame([head, 1, 2, 3, 4, 5, 6, 7]), &mut bytes);
             }
             let what = match last {
-                Ok(Progress::Done) => "done",
-                Err(ClientError::TooLong { .. }) => "long",
-                Err(ClientError::TooShort { .. }) => "short",
+                Ok(TransferProgress::Done) => "done",
+                Err(SdoClientError::TooLong { .. }) => "long",
+                Err(SdoClientError::TooShort { .. }) => "short",
                 _ => "neither",
             };
             assert_eq!(what, ends, "{announced} {most} {length} {segments}: {last:?}");

@@ -57,7 +57,7 @@ impl ObjectAccess for Fake {
     }
 }
 
-fn transact(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
+fn transact(server: &mut SdoServer, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
     let answer = server.receive(&Frame::new(SDO_REQUEST_ID, &data).unwrap(), fake)?;
     assert_eq!(answer.id(), SDO_RESPONSE_ID);
     Some(*answer.data())
@@ -73,7 +73,7 @@ fn to(command: u8, index: u16, subindex: u8, number: u32) -> [u8; 8] {
 }
 
 /// Reads all of an object, in segments where it has to.
-fn read(server: &mut Server, fake: &mut Fake, index: u16, subindex: u8) -> Result<Vec<u8>, u32> {
+fn read(server: &mut SdoServer, fake: &mut Fake, index: u16, subindex: u8) -> Result<Vec<u8>, u32> {
     let answer = transact(server, fake, to(0x40, index, subindex, 0)).expect("an answer");
     let number = u32::from_le_bytes(answer[4..].try_into().unwrap());
     if answer[0] == 0x80 {
@@ -98,7 +98,7 @@ fn read(server: &mut Server, fake: &mut Fake, index: u16, subindex: u8) -> Resul
 
 /// Writes in segments; `None` where the last one is not answered yet.
 fn write(
-    server: &mut Server,
+    server: &mut SdoServer,
     fake: &mut Fake,
     (index, subindex): (u16, u8),
     announced: Option<u32>,
@@ -124,7 +124,7 @@ fn write(
 
 #[test]
 fn numbers_go_in_one_frame_with_their_length() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     let device = transact(&mut server, &mut fake, to(0x40, 0x1000, 0, 0));
     assert_eq!(device, Some([0x43, 0x00, 0x10, 0, 0x94, 0x01, 0, 0]));
     for command in [0x2B, 0x22] {
@@ -139,7 +139,7 @@ fn numbers_go_in_one_frame_with_their_length() {
 
 #[test]
 fn a_text_comes_in_segments() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     assert_eq!(read(&mut server, &mut fake, 0x1008, 0), Ok(b"trueup bridge".into()));
 }
 
@@ -166,7 +166,7 @@ fn every_misuse_gets_its_abort_code() {
         (to(0xC6, 0x2100, 2, 601), AbortCode::TooLong),
         (to(0x40, 0x1003, 1, 0), AbortCode::NoData),
     ] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let index = u16::from_le_bytes([request[1], request[2]]);
         let answer = transact(&mut server, &mut fake, request);
         assert_eq!(answer, refused(index, request[3], abort), "{request:02X?}");
@@ -174,7 +174,7 @@ fn every_misuse_gets_its_abort_code() {
     }
     // A segment of no transfer, and commands that are none.
     for command in [0x00, 0x60, 0x70, 0xC1, 0xE0, 0xFF] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let answer = transact(&mut server, &mut fake, [command, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(answer, refused(0, 0, AbortCode::Command), "{command:02X}");
     }
@@ -182,7 +182,7 @@ fn every_misuse_gets_its_abort_code() {
 
 #[test]
 fn a_wrong_toggle_ends_the_transfer() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     for (start, index, subindex, wrong) in
         [(0x40, 0x1008, 0, 0x70), (0x21, 0x2100, 2, 0x10), (0x21, 0x1017, 0, 0x1B)]
     {
@@ -201,12 +201,12 @@ fn a_wrong_toggle_ends_the_transfer() {
 #[test]
 fn a_length_that_is_not_the_announced_one_is_refused() {
     for (announced, sent) in [(20, 21), (20, 19), (20, 28), (1, 2)] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let at = (0x2100, 2);
         let answer = write(&mut server, &mut fake, at, Some(announced), &std::vec![1; sent]);
         assert_eq!(answer, refused(0x2100, 2, AbortCode::Length), "{announced}, {sent}");
     }
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     let answer = write(&mut server, &mut fake, (0x1017, 0), None, &[1; 3]);
     assert_eq!((answer, &fake.written[..]), (refused(0x1017, 0, AbortCode::Length), &[][..]));
     let unannounced = write(&mut server, &mut fake, (0x2100, 2), None, &[1; MAX + 1]);
@@ -220,7 +220,7 @@ fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
         (Err(AbortCode::Value), refused(0x2100, 2, AbortCode::Value)),
         (Err(AbortCode::CannotStore), refused(0x2100, 2, AbortCode::CannotStore)),
     ] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let at = (0x2100, 2);
         assert_eq!(write(&mut server, &mut fake, at, Some(14), &[9; 14]), None);
         assert_eq!(server.tick(2 * SDO_TIMEOUT_MS), None, "it is not the master who is late");
@@ -236,7 +236,7 @@ fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
 
 #[test]
 fn a_silent_master_is_reported_and_one_that_aborts_is_not_answered() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     assert_eq!(server.tick(u32::MAX), None);
     transact(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
     assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
@@ -271,7 +271,7 @@ proptest! {
     fn no_requests_panic_and_each_gets_one_answer_of_its_kind_at_most(
         requests in prop::collection::vec((request(), 0_usize..=9), 0..200),
     ) {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         // Within a block download each frame is a segment, whatever it looks like.
         let mut has_block = false;
         for (request, len) in requests {
@@ -293,7 +293,7 @@ proptest! {
     fn a_domain_of_any_length_comes_back_as_it_was_sent(
         bytes in prop::collection::vec(any::<u8>(), 1..=MAX), announce: bool,
     ) {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let announced = announce.then_some(u32::try_from(bytes.len()).expect("a short one"));
         prop_assert_eq!(write(&mut server, &mut fake, (0x2100, 2), announced, &bytes), None);
         prop_assert!(server.finish_download(Ok(())).is_some());

@@ -1,7 +1,7 @@
 //! Which source of the elongation is in use, and how it joins the one before: what `sources` decides,
 //! remembered from tick to tick.
 
-use super::agreement::{ElongationSample, SourceAgreementMonitor};
+use super::source_agreement::{ElongationSample, SourceAgreementMonitor};
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The source of the elongation that is used.

@@ -1,7 +1,7 @@
 //! The errors of the axes: computed whole once before the first tick, kept from message to message, and added up when
 //! they are requested.
 
-use super::{Bridge, state::State};
+use super::{Bridge, state::BridgeState};
 use crate::{
     axis_errors::{CachedErrors, ErrorSums},
     cnc::LinearAxis,
@@ -12,24 +12,24 @@ use crate::{
 impl Bridge<'_> {
     /// Returns the state of a bridge that has just been switched on.
     #[must_use]
-    pub fn initial_state(&self) -> State {
+    pub fn initial_state(&self) -> BridgeState {
         let errors = CachedErrors::from_position(
             &self.calibration,
             &MachineThermalState::default(),
             &MachinePosition::default(),
         );
-        State::with_errors(errors)
+        BridgeState::with_errors(errors)
     }
 
     /// Computes all errors. No tick and no message does: it takes as long as all the messages that change a part.
-    pub fn compute_errors(&self, state: &mut State) {
+    pub fn compute_errors(&self, state: &mut BridgeState) {
         state.errors = CachedErrors::from_position(&self.calibration, &state.heat, &state.place);
         state.error_sums = None;
     }
 
     /// Returns the errors of the axes at the present place.
     #[inline]
-    pub(super) fn axis_errors(&self, state: &mut State) -> ErrorSums {
+    pub(super) fn axis_errors(&self, state: &mut BridgeState) -> ErrorSums {
         match state.error_sums {
             Some(sums) => sums,
             None => self.sum_errors(state),
@@ -37,7 +37,7 @@ impl Bridge<'_> {
     }
 
     #[inline(never)]
-    fn sum_errors(&self, state: &mut State) -> ErrorSums {
+    fn sum_errors(&self, state: &mut BridgeState) -> ErrorSums {
         let sums = self.compute_error_sums(&mut state.errors, &state.place);
         *state.error_sums.insert(sums)
     }
@@ -54,7 +54,7 @@ impl Bridge<'_> {
     #[inline]
     pub(super) fn update_errors(
         &self,
-        state: &mut State,
+        state: &mut BridgeState,
         change: impl FnOnce(&mut CachedErrors, &MachineThermalState, &MachinePosition),
     ) {
         change(&mut state.errors, &state.heat, &state.place);
@@ -65,7 +65,7 @@ impl Bridge<'_> {
     }
 
     /// An axis has moved or turned round.
-    pub(super) fn update_axis_position(&self, state: &mut State, axis: LinearAxis) {
+    pub(super) fn update_axis_position(&self, state: &mut BridgeState, axis: LinearAxis) {
         let calibration = &self.calibration;
         self.update_errors(state, |errors, heat, place| {
             errors.update_axis_position(calibration, heat, place, axis)
@@ -73,7 +73,7 @@ impl Bridge<'_> {
     }
 
     /// The heat of an axis has been stepped.
-    pub(super) fn update_axis_thermal_error(&self, state: &mut State, axis: LinearAxis) {
+    pub(super) fn update_axis_thermal_error(&self, state: &mut BridgeState, axis: LinearAxis) {
         let calibration = &self.calibration;
         self.update_errors(state, |errors, heat, place| {
             errors.update_axis_thermal_error(calibration, heat, place, axis)
@@ -81,7 +81,7 @@ impl Bridge<'_> {
     }
 
     /// A term over temperature or time has been stepped.
-    pub(super) fn update_term_errors(&self, state: &mut State) {
+    pub(super) fn update_term_errors(&self, state: &mut BridgeState) {
         let calibration = &self.calibration;
         self.update_errors(state, |errors, heat, place| {
             errors.update_terms(calibration, heat, place)

@@ -11,7 +11,7 @@
 //!
 //! They come rarely, so they may be four times as old as `Control`. Changes go through the slew limit.
 
-use super::{Bridge, State, state::ReceivedConditions};
+use super::{Bridge, BridgeState, state::ReceivedConditions};
 use crate::cnc::MachineConditions;
 
 /// They may be this many times as old as the CNC's sign of life.
@@ -19,7 +19,11 @@ pub const CONDITIONS_TIMEOUT_FACTOR: u32 = 4;
 
 impl Bridge<'_> {
     /// Takes a message.
-    pub(super) fn receive_conditions(&self, state: &mut State, conditions: MachineConditions) {
+    pub(super) fn receive_conditions(
+        &self,
+        state: &mut BridgeState,
+        conditions: MachineConditions,
+    ) {
         if !self.needs.conditions {
             return;
         }
@@ -27,24 +31,24 @@ impl Bridge<'_> {
         let is_new = received.by_default || received.last != Some(conditions);
         *received = ReceivedConditions { last: Some(conditions), age_ms: 0, by_default: false };
         if is_new {
-            self.select_category(state, Some(conditions));
+            self.apply_conditions(state, Some(conditions));
         }
     }
 
     /// Returns whether the time since the last one is so long that no further one is expected.
-    pub(super) fn are_conditions_lost(&self, state: &State) -> bool {
+    pub(super) fn are_conditions_lost(&self, state: &BridgeState) -> bool {
         state.conditions.age_ms > self.needs.conditions_ms
     }
 
     /// Returns whether the offset can be followed: they are known, or were held long enough and the defaults stand
     /// in for them.
     #[inline]
-    pub(super) fn step_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+    pub(super) fn step_conditions(&self, state: &mut BridgeState, elapsed_ms: u32) -> bool {
         !self.needs.conditions || self.step_required_conditions(state, elapsed_ms)
     }
 
     #[inline]
-    fn step_required_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+    fn step_required_conditions(&self, state: &mut BridgeState, elapsed_ms: u32) -> bool {
         state.conditions.advance_ages(elapsed_ms);
         if self.are_conditions_lost(state) {
             return self.fall_back_to_default_conditions(state);
@@ -54,15 +58,15 @@ impl Bridge<'_> {
 
     #[cold]
     #[inline(never)]
-    fn fall_back_to_default_conditions(&self, state: &mut State) -> bool {
+    fn fall_back_to_default_conditions(&self, state: &mut BridgeState) -> bool {
         if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
             state.conditions.by_default = true;
-            self.select_category(state, None);
+            self.apply_conditions(state, None);
         }
         state.conditions.by_default
     }
 
-    fn select_category(&self, state: &mut State, conditions: Option<MachineConditions>) {
+    fn apply_conditions(&self, state: &mut BridgeState, conditions: Option<MachineConditions>) {
         state.heat.set_conditions(&self.calibration, conditions);
         self.update_term_errors(state);
     }

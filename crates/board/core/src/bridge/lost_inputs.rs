@@ -1,6 +1,6 @@
 //! Which inputs are lost, each by itself: the flags of an offset say only that some are.
 
-use super::{Bridge, State};
+use super::{Bridge, BridgeState};
 use crate::index_set::IndexSet;
 
 /// The inputs that are lost.
@@ -21,7 +21,7 @@ pub struct LostInputs {
 impl Bridge<'_> {
     /// Returns which inputs are lost.
     #[must_use]
-    pub fn lost_inputs(&self, state: &State) -> LostInputs {
+    pub fn lost_inputs(&self, state: &BridgeState) -> LostInputs {
         let limits = &self.calibration.limits;
         let is_received = state.control.fresh_value(limits.link_timeout_ms).is_some();
         LostInputs {

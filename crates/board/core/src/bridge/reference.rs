@@ -1,12 +1,12 @@
 //! The error that counts as none: when `Zero` may take it, and how large it may be.
 
-use super::{Bridge, ReferenceErrors, State, bumpless_transfer::SelectedSource};
+use super::{Bridge, BridgeState, ReferenceErrors, bumpless_transfer::SelectedSource};
 use crate::units::FineNanometres;
 
 impl Bridge<'_> {
     /// The present error becomes the reference, if it is known and no larger than a correction may be; whether it
     /// does.
-    pub(super) fn set_reference(&self, state: &mut State) -> bool {
+    pub(super) fn set_reference(&self, state: &mut BridgeState) -> bool {
         if state.joint.selected == SelectedSource::Missing
             || !self.has_temperatures(state)
             || self.is_temperature_held(state, state.joint.selected)

@@ -4,10 +4,10 @@ use super::CONDITIONS_TIMEOUT_FACTOR;
 use crate::{
     calibration::{Calibration, ElongationSource, STRAIGHTNESS_AXIS_PAIRS},
     cnc::LinearAxis,
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     index_set::IndexSet,
+    temperature_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, TemperatureRateLimit},
     term::{self, CategoryFactor, Effect, Target, Tilt, category_factor},
-    thermal_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, RateLimit},
     units::FineNanometres,
 };
 
@@ -26,7 +26,7 @@ pub(super) struct RequiredInputs {
     /// Every channel that something depends on, in use or not.
     pub watched: IndexSet,
     /// How fast each channel may change.
-    pub rates: [RateLimit; CHANNEL_COUNT],
+    pub rates: [TemperatureRateLimit; TEMPERATURE_CHANNEL_COUNT],
     /// Axes with a law over temperature.
     pub laws: IndexSet,
     /// Whether the sensor is one of the sources of the elongation.
@@ -76,7 +76,7 @@ impl RequiredInputs {
                 }),
             heat_terms: term::thermal_term_indices(&calibration.terms),
             terms: of_elongation,
-            walked_terms: term::elongation_term_count(&calibration.terms),
+            walked_terms: term::elongation_term_prefix_length(&calibration.terms),
             sensor: chain.contains(&Some(ElongationSource::Sensor)),
             position_ms: [u32::MAX; 3],
             first: chain.into_iter().flatten().next(),
@@ -164,15 +164,19 @@ impl RequiredInputs {
     }
 
     /// Returns how fast a channel may change.
-    fn rate_limit(&self, calibration: &Calibration<'_>, channel: usize) -> RateLimit {
+    fn rate_limit(&self, calibration: &Calibration<'_>, channel: usize) -> TemperatureRateLimit {
         let stated = calibration.guards.max_rates.get(channel).copied().unwrap_or_default();
         let tenths = match stated {
             0 if self.watched.contains(channel) => DEFAULT_RATE_DECIKELVIN_PER_MIN,
             stated => stated,
         };
         let connected = calibration.thermometers.get(channel).copied().flatten();
-        connected.map_or_else(RateLimit::default, |thermometer| {
-            RateLimit::new(tenths, thermometer.resolution(), partner_channels(calibration, channel))
+        connected.map_or_else(TemperatureRateLimit::default, |thermometer| {
+            TemperatureRateLimit::new(
+                tenths,
+                thermometer.resolution(),
+                partner_channels(calibration, channel),
+            )
         })
     }
 }

@@ -10,7 +10,7 @@
 //! The slope that is sent follows the law's, or goes to 0 while the offset is taken back, no faster than the slew limit
 //! within the distance of the axis from P₀ (at least a metre), so that a control that moves meanwhile sees no step.
 
-use super::{Bridge, State};
+use super::{Bridge, BridgeState};
 use crate::{
     cnc::{LinearAxis, OffsetQuality, Output},
     fixed_point::rounding_shift_right,
@@ -47,7 +47,7 @@ impl Bridge<'_> {
     #[must_use]
     pub fn constant_and_slope(
         &self,
-        state: &State,
+        state: &BridgeState,
         last: &Output,
         axis: LinearAxis,
         sent: i16,

@@ -6,14 +6,14 @@ use crate::{
     calibration::AxisModel,
     cnc::{AxisPosition, Control, MachineConditions, SpindleState},
     dead_band_filter::DeadBandFilter,
-    dimensions::CHANNEL_COUNT,
-    filter::Filter,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     learned::LearnedChanges,
     limits::AppliedOffset,
     machine_position::MachinePosition,
     run_out::RunOutMonitor,
+    run_out_filter::RunOutFilter,
     sensor_health::{NoiseStatistics, SensorHealth},
-    supply::SupplyScale,
+    supply_monitor::SupplyScale,
     temperature_channels::{RawTemperatures, TemperatureChannels},
     thermal_state::MachineThermalState,
     tool_direction::ToolDirection,
@@ -47,10 +47,10 @@ pub(super) enum OffsetMode {
 /// The state of the bridge from tick to tick. [`Bridge::initial_state`](super::Bridge::initial_state) makes it, with the errors where
 /// the machine stands; so it has no default.
 #[derive(Clone, Debug)]
-pub struct State {
+pub struct BridgeState {
     pub(super) now: TimestampMs,
     pub(super) health: SensorHealth,
-    pub(super) filter: Filter,
+    pub(super) filter: RunOutFilter,
     pub(super) run_out: RunOutMonitor,
     pub(super) control: ReceivedMessage<Control>,
     pub(super) spindle: ReceivedMessage<SpindleState>,
@@ -78,7 +78,7 @@ pub struct State {
     pub(super) raw_age: Age,
     pub(super) channels: TemperatureChannels,
     /// Their temperatures without jitter.
-    pub(super) steady: [DeadBandFilter; CHANNEL_COUNT],
+    pub(super) steady: [DeadBandFilter; TEMPERATURE_CHANNEL_COUNT],
     pub(super) heat: MachineThermalState,
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,
@@ -211,7 +211,7 @@ impl ReportedPosition {
     }
 }
 
-impl State {
+impl BridgeState {
     /// Returns that of a bridge that has just been switched on, with the errors where it stands.
     pub(super) fn with_errors(errors: CachedErrors) -> Self {
         Self {
@@ -298,12 +298,12 @@ impl State {
 
     /// Returns how the parts differ from what the calibration says.
     #[must_use]
-    pub const fn learned(&self) -> &LearnedChanges {
+    pub const fn learned_changes(&self) -> &LearnedChanges {
         &self.heat.learned
     }
 
     /// They no longer do, from one tick to the next: for a bridge at rest.
-    pub fn clear_learned(&mut self) {
+    pub fn clear_learned_changes(&mut self) {
         self.heat.learned = LearnedChanges::default();
     }
 

@@ -14,21 +14,24 @@ use super::*;
 use crate::{
     calibration::AxisThermalModel,
     cnc::{AxisPosition, Control, LinearAxis, SpindleState, TravelDirection},
+    displacement_sensor::{SensorLaw, SensorSlope},
     kinematics,
     lag::SmoothingFactor,
-    sensor::{SensorLaw, SensorSlope},
     testing::minimal_calibration,
     thermal::ThermalExpansionLaw,
-    thermometer::{RawReading, Thermometer},
-    units::{MicroDegrees, Position, Reading, Temperature},
+    thermometer::{RawTemperatureReading, Thermometer},
+    units::{MicroDegrees, Position, SensorReading, Temperature},
 };
 
 /// 1024 nm a code exactly, zero at code 1000, 1 µm in a millisecond.
 fn calibration() -> Calibration<'static> {
     let mut calibration = minimal_calibration();
     calibration.spindle.chain[0] = Some(ElongationSource::Sensor);
-    calibration.spindle.sensor =
-        SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: SensorSlope(1 << 28) };
+    calibration.spindle.sensor = SensorLaw {
+        k0: Nanometres(0),
+        zero: SensorReading(1000 << 10),
+        slope: SensorSlope(1 << 28),
+    };
     calibration
 }
 const ENGAGED: Control = Control::ENGAGED;
@@ -36,7 +39,7 @@ const ENGAGED: Control = Control::ENGAGED;
 /// A bridge with the hand that feeds it.
 struct Rig {
     bridge: Bridge<'static>,
-    state: State,
+    state: BridgeState,
     now: TimestampMs,
     last: Output,
 }
@@ -322,8 +325,9 @@ fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
                 direction: TravelDirection::Positive,
             }),
         );
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        raw[3] = kelvin
+            .map_or(RawTemperatureReading::NONE, |kelvin| RawTemperatureReading(kelvin * 256));
         rig.now = rig.now.wrapping_add_ms(1);
         let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);

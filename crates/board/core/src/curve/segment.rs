@@ -6,14 +6,14 @@ use crate::{
 };
 
 /// Bytes of a stored segment, five little-endian words: end, c₀, c₁, c₂, c₃.
-pub const SEGMENT_SIZE: usize = 20;
+pub const CURVE_SEGMENT_SIZE: usize = 20;
 
 /// The bits of c₃ that say the span.
 pub(super) const SPAN_MASK: i32 = 31;
 
 /// One cubic piece of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Segment {
+pub struct CurveSegment {
     /// The knot at which it ends. The segment before it has the position of its own start.
     pub end: Position,
     /// Its span is 2^(32 − shift) positions, 0…31.
@@ -22,7 +22,7 @@ pub struct Segment {
     pub coefficients: [i32; 4],
 }
 
-impl Segment {
+impl CurveSegment {
     /// Returns a segment with c₃ rounded to the nearest value that says `shift` in its five low bits.
     #[must_use]
     pub const fn new(end: Position, shift: u8, coefficients: [i32; 4]) -> Self {
@@ -62,8 +62,8 @@ impl Segment {
 
     /// Returns the stored form.
     #[must_use]
-    pub fn to_bytes(&self) -> [u8; SEGMENT_SIZE] {
-        let mut bytes = [0; SEGMENT_SIZE];
+    pub fn to_bytes(&self) -> [u8; CURVE_SEGMENT_SIZE] {
+        let mut bytes = [0; CURVE_SEGMENT_SIZE];
         for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(self.to_words()) {
             *place = word.to_le_bytes();
         }
@@ -73,7 +73,7 @@ impl Segment {
     /// Returns the segment stored in `bytes`; any bytes are one.
     #[must_use]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0…31")]
-    pub fn from_bytes(bytes: &[u8; SEGMENT_SIZE]) -> Self {
+    pub fn from_bytes(bytes: &[u8; CURVE_SEGMENT_SIZE]) -> Self {
         let [end, c0, c1, c2, c3] = read_words(bytes);
         let shift = (0_i32.wrapping_sub(c3) & SPAN_MASK) as u8;
         Self { end: Position(end), shift, coefficients: [c0, c1, c2, c3] }
@@ -99,7 +99,7 @@ impl Segment {
     /// recurrence outside 32 bits.
     #[must_use]
     pub fn is_valid_for_reach(&self, reach: u32) -> bool {
-        const MAX_MAGNITUDE: u64 = i32::MAX.unsigned_abs() as u64;
+        const MAX_COEFFICIENT_MAGNITUDE: u64 = i32::MAX.unsigned_abs() as u64;
         let [_, c0, c1, c2, c3] = self.to_words();
         if reach.leading_zeros() < u32::from(self.shift & 31) {
             return false;
@@ -112,13 +112,15 @@ impl Segment {
         let a2 = at_end.max(at_start);
         let a1 = (a2 >> 1).saturating_add(1).saturating_add(u64::from(c1.unsigned_abs()));
         let y = a1.saturating_add(2).saturating_add(u64::from(c0.unsigned_abs()));
-        a2 <= MAX_MAGNITUDE && a1 <= MAX_MAGNITUDE && y <= MAX_MAGNITUDE
+        a2 <= MAX_COEFFICIENT_MAGNITUDE
+            && a1 <= MAX_COEFFICIENT_MAGNITUDE
+            && y <= MAX_COEFFICIENT_MAGNITUDE
     }
 }
 
 /// Returns the five words of a stored segment.
 #[inline]
-pub(super) fn read_words(bytes: &[u8; SEGMENT_SIZE]) -> [i32; 5] {
+pub(super) fn read_words(bytes: &[u8; CURVE_SEGMENT_SIZE]) -> [i32; 5] {
     let &[end, c0, c1, c2, c3] = bytes.as_chunks().0 else { return [0; 5] };
     [end, c0, c1, c2, c3].map(i32::from_le_bytes)
 }
@@ -143,7 +145,7 @@ pub(super) fn evaluate_horner([end, c0, c1, c2, c3]: [i32; 5], p: Position) -> F
 
 /// Where a stored segment ends.
 #[inline]
-pub(super) fn segment_end(bytes: &[u8; SEGMENT_SIZE]) -> i32 {
+pub(super) fn segment_end(bytes: &[u8; CURVE_SEGMENT_SIZE]) -> i32 {
     let [end, ..] = read_words(bytes);
     end
 }

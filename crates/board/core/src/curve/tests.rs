@@ -68,12 +68,12 @@ impl Spline {
         r * r * r * b0 + 3.0 * r * r * s * b1 + 3.0 * r * s * s * b2 + s * s * s * b3
     }
 
-    fn segments(&self) -> Vec<Segment> {
+    fn segments(&self) -> Vec<CurveSegment> {
         let all = self.knots.windows(2).zip(&self.pieces).enumerate();
         all.map(|(n, (knots, [b0, b1, b2, b3]))| {
             let length = knots[0].abs_diff(knots[1]);
             let reach = if n == 0 { length } else { length - 1 };
-            let shift = Segment::shift_for_reach(reach);
+            let shift = CurveSegment::shift_for_reach(reach);
             // The place in the piece is s = 1 − r − r·t.
             let r = 2f64.powi(32 - i32::from(shift)) / 2.0 / f64::from(length);
             let (q1, q2) = (3.0 * (b1 - b0), 3.0 * (b2 - 2.0 * b1 + b0));
@@ -86,7 +86,7 @@ impl Spline {
             ];
             assert!(words.iter().all(|word| word.abs() <= f64::from(i32::MAX)), "{words:?}");
             let segment =
-                Segment::new(Position(knots[1]), shift, words.map(|word| word.round() as i32));
+                CurveSegment::new(Position(knots[1]), shift, words.map(|word| word.round() as i32));
             assert!(segment.is_valid_for_reach(reach), "{segment:?} over {reach}");
             segment
         })
@@ -95,7 +95,7 @@ impl Spline {
 }
 
 /// Returns the index with the fewest buckets that will do.
-fn index(first: i32, segments: &[Segment]) -> (Vec<[u8; 2]>, u8) {
+fn index(first: i32, segments: &[CurveSegment]) -> (Vec<[u8; 2]>, u8) {
     let ends: Vec<u32> = segments.iter().map(|s| s.end.0.abs_diff(first)).collect();
     let length = ends[ends.len() - 1];
     for shift in (1..=32_u8).rev() {
@@ -113,8 +113,8 @@ fn index(first: i32, segments: &[Segment]) -> (Vec<[u8; 2]>, u8) {
     panic!("knots too close together");
 }
 
-fn bytes(segments: &[Segment]) -> Vec<[u8; SEGMENT_SIZE]> {
-    segments.iter().map(Segment::to_bytes).collect()
+fn bytes(segments: &[CurveSegment]) -> Vec<[u8; CURVE_SEGMENT_SIZE]> {
+    segments.iter().map(CurveSegment::to_bytes).collect()
 }
 
 #[test]
@@ -190,7 +190,8 @@ fn a_sound_segment_is_f64_and_so_never_overflows() {
             [(); 4].map(|()| (next_random(&mut seed) as i32) >> (next_random(&mut seed) % 4));
         let reach = next_random(&mut seed) >> (next_random(&mut seed) % 32);
         let end = next_random(&mut seed) as i32;
-        let segment = Segment::new(Position(end), Segment::shift_for_reach(reach), coefficients);
+        let segment =
+            CurveSegment::new(Position(end), CurveSegment::shift_for_reach(reach), coefficients);
         if !segment.is_valid_for_reach(reach) {
             continue;
         }
@@ -212,13 +213,13 @@ fn a_segment_survives_its_bytes() {
     let mut seed = 4;
     for shift in 0..32 {
         let coefficients = [(); 4].map(|()| next_random(&mut seed) as i32);
-        let segment = Segment::new(Position(-7), shift, coefficients);
-        assert_eq!(Segment::from_bytes(&segment.to_bytes()), segment);
+        let segment = CurveSegment::new(Position(-7), shift, coefficients);
+        assert_eq!(CurveSegment::from_bytes(&segment.to_bytes()), segment);
         assert!(coefficients[3].abs_diff(segment.coefficients[3]) <= 16);
         assert_eq!(segment.coefficients[3] & SPAN_MASK, (32 - i32::from(shift)) % 32);
     }
     for c3 in [i32::MIN, i32::MAX] {
-        let [.., retained] = Segment::new(Position(0), 3, [0, 0, 0, c3]).coefficients;
+        let [.., retained] = CurveSegment::new(Position(0), 3, [0, 0, 0, c3]).coefficients;
         assert_eq!(retained.signum(), c3.signum(), "it does not wrap");
     }
 }
@@ -226,8 +227,9 @@ fn a_segment_survives_its_bytes() {
 #[test]
 fn three_knots_in_a_bucket_are_passed_and_a_fourth_is_refused() {
     let line = |ends: &[i32]| {
-        let segment =
-            |(n, end): (i32, &i32)| Segment::new(Position(*end), 16, [n * 256, 0, 0, 0]).to_bytes();
+        let segment = |(n, end): (i32, &i32)| {
+            CurveSegment::new(Position(*end), 16, [n * 256, 0, 0, 0]).to_bytes()
+        };
         (0..).zip(ends).map(segment).collect::<Vec<_>>()
     };
     let stored = line(&[10, 20, 30, 1_000]);
@@ -246,7 +248,7 @@ fn what_is_not_right_is_refused() {
     let segments = spline.segments();
     let first = spline.knots[0];
     let (index, shift) = index(first, &segments);
-    let good = |segments: &[Segment], index: &[[u8; 2]], shift| {
+    let good = |segments: &[CurveSegment], index: &[[u8; 2]], shift| {
         Curve::new(Position(first), &bytes(segments), index, shift).is_consistent()
     };
     assert!(good(&segments, &index, shift));
@@ -288,7 +290,7 @@ fn no_curve_is_nought_and_nothing_is_outside() {
 
 #[test]
 fn an_entry_that_leads_nowhere_is_outside() {
-    let stored = [Segment::new(Position(1_000), 16, [256; 4]).to_bytes()];
+    let stored = [CurveSegment::new(Position(1_000), 16, [256; 4]).to_bytes()];
     for index in [&[][..], &[[1, 0]], &[[0xff, 0xff]]] {
         let curve = Curve::new(Position(0), &stored, index, 32);
         assert_eq!(curve.evaluate(Position(5)), (FineNanometres::ZERO, true));
@@ -299,8 +301,8 @@ fn an_entry_that_leads_nowhere_is_outside() {
 fn any_bytes_may_come() {
     let mut seed = 6;
     for _ in 0..20_000 {
-        let stored: Vec<[u8; SEGMENT_SIZE]> = (0..next_random(&mut seed) % 6)
-            .map(|_| [(); SEGMENT_SIZE].map(|()| next_random(&mut seed) as u8))
+        let stored: Vec<[u8; CURVE_SEGMENT_SIZE]> = (0..next_random(&mut seed) % 6)
+            .map(|_| [(); CURVE_SEGMENT_SIZE].map(|()| next_random(&mut seed) as u8))
             .collect();
         let index: Vec<[u8; 2]> = (0..next_random(&mut seed) % 6)
             .map(|_| {
@@ -316,7 +318,7 @@ fn any_bytes_may_come() {
         for p in [i32::MIN, -1, 0, 1, i32::MAX, first, next_random(&mut seed) as i32] {
             let _ = curve.evaluate(Position(p));
         }
-        for segment in stored.iter().map(Segment::from_bytes) {
+        for segment in stored.iter().map(CurveSegment::from_bytes) {
             let _ = (
                 segment.evaluate(Position(i32::MIN)),
                 segment.is_valid_for_reach(next_random(&mut seed)),
@@ -328,7 +330,8 @@ fn any_bytes_may_come() {
 #[test]
 fn a_bucket_that_begins_at_a_knot_names_the_segment_that_ends_there() {
     // Buckets of 2¹⁵: the knot between the segments is the first position of the second.
-    let segments = [32_768, 65_000].map(|end| Segment::new(Position(end), 16, [0; 4]).to_bytes());
+    let segments =
+        [32_768, 65_000].map(|end| CurveSegment::new(Position(end), 16, [0; 4]).to_bytes());
     for (index, is_right) in [([[0, 0], [0, 0]], true), ([[0, 0], [1, 0]], false)] {
         let curve = Curve::new(Position(0), &segments, &index, 15);
         assert_eq!(curve.is_consistent(), is_right, "{index:?}");
@@ -337,7 +340,7 @@ fn a_bucket_that_begins_at_a_knot_names_the_segment_that_ends_there() {
 
 #[test]
 fn a_curve_reports_the_width_of_its_buckets_as_it_was_given() {
-    let segments = [Segment::new(Position(100), 16, [0; 4]).to_bytes()];
+    let segments = [CurveSegment::new(Position(100), 16, [0; 4]).to_bytes()];
     for shift in 1..=32 {
         assert_eq!(Curve::new(Position(0), &segments, &[[0, 0]], shift).bucket_shift(), shift);
     }

@@ -1,22 +1,22 @@
 //! The parts of a term, and the effect at a place of one that depends on it.
 
 use crate::{
-    angle::sin_cos,
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::MAX_TERMS,
+    design_parameters::MAX_TERMS,
     fixed_point::{self, ScaledCoefficient},
     gradient::Gradient,
     index_set::IndexSet,
     lag::SmoothingFactor,
     machine_position::MachinePosition,
     pitch_table::PitchErrorTable,
+    reversal::backlash_error,
     term::{
         category::{ConditionLevels, ToolTable},
         tilt::Tilt,
     },
     tool_direction::ToolDirection,
-    travel::backlash_error,
+    trigonometry::sin_cos,
     units::{FineNanometres, MicroDegrees, Position, Rpm, Temperature},
 };
 

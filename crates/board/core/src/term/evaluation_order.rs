@@ -15,7 +15,7 @@ use crate::term::{
 
 /// Returns how many terms there are up to the last of the elongation that is no category.
 #[must_use]
-pub fn elongation_term_count(terms: &Terms<'_>) -> usize {
+pub fn elongation_term_prefix_length(terms: &Terms<'_>) -> usize {
     let is_walked = |term: &Option<super::Term<'_>>| {
         let of_elongation = term.as_ref().filter(|term| term.target == Target::Elongation);
         of_elongation.is_some_and(|term| category_factor(&term.effect).is_none())

@@ -3,12 +3,12 @@
 use super::*;
 use crate::{
     cnc::LinearAxis,
-    dimensions::{CHANNEL_COUNT, MAX_TERMS},
+    design_parameters::{MAX_TERMS, TEMPERATURE_CHANNEL_COUNT},
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
     lag::SmoothingFactor,
     machine_position::MachinePosition,
-    travel::ReversalTracker,
+    reversal::ReversalTracker,
     units::{FineNanometres, Position, Rpm, Temperature},
 };
 extern crate std;
@@ -82,7 +82,7 @@ fn heat_follows_its_lag_and_time_its_own() {
     let mut states = TermStates::default();
     let heated = thermal_term_indices(&terms);
     assert!(!states.is_initialised(heated));
-    let mut temperatures = [None; CHANNEL_COUNT];
+    let mut temperatures = [None; TEMPERATURE_CHANNEL_COUNT];
     let mut step_thermal = |temperatures: &_| {
         states.step(&terms, 0, temperatures, None, true);
         states.step(&terms, 1, temperatures, None, true);
@@ -119,7 +119,7 @@ fn a_slope_by_heat_goes_with_the_position() {
     };
     let terms = with(&[(Target::Axis(LinearAxis::Y), 0, heat)]);
     let mut states = TermStates::default();
-    let mut temperatures = [None; CHANNEL_COUNT];
+    let mut temperatures = [None; TEMPERATURE_CHANNEL_COUNT];
     temperatures[1] = Some(Temperature(24 * Temperature::PER_KELVIN));
     states.step(&terms, 0, &temperatures, None, true);
     for (y, expected) in [(1 << HEAT_SLOPE_BITS, 12.0), (-(1 << 26), -6.0), (0, 0.0)] {
@@ -158,7 +158,7 @@ fn heat_by_the_speed_starts_cold_and_is_right_over_all_speeds() {
                 }
                 // For a minute nobody knows it.
                 let speed = Some(Rpm(rpm)).filter(|_| !(50_000..50_600).contains(&step));
-                states.step(&terms, 0, &[None; CHANNEL_COUNT], speed, true);
+                states.step(&terms, 0, &[None; TEMPERATURE_CHANNEL_COUNT], speed, true);
                 let heating = speed.map_or(0.0, |rpm| f64::from(rpm.0).powi(exponent));
                 lagged += (heating - lagged) * given;
                 let got =
@@ -194,7 +194,7 @@ fn what_an_axis_adds_depends_on_its_place_and_direction() {
     assert!((at(cross, &place) - 4.0).abs() < 1e-5);
     assert_eq!(at(reversed, &place), 0.0);
     place.travel[0] = ReversalTracker::new();
-    place.travel[0].update(&crate::travel::ReversalConfig::default(), Position(0), -1);
+    place.travel[0].update(&crate::reversal::ReversalConfig::default(), Position(0), -1);
     assert!((at(reversed, &place) + 23.0).abs() < 1e-5);
 }
 
@@ -329,7 +329,7 @@ fn nothing_extreme_panics() {
             for x in extremes {
                 let mut states = TermStates::default();
                 for index in 0..=MAX_TERMS {
-                    let temperatures = [Some(Temperature(x)); CHANNEL_COUNT];
+                    let temperatures = [Some(Temperature(x)); TEMPERATURE_CHANNEL_COUNT];
                     states.step(&terms, index, &temperatures, Some(Rpm(u16::MAX)), true);
                 }
                 let place =
@@ -364,10 +364,10 @@ fn curvature_bends_a_shrinking_spindle_as_it_does_a_growing_one_and_is_held_at_a
 
 #[test]
 fn a_tilt_that_bends_is_its_curve_at_the_lever() {
-    use crate::curve::{Curve, Segment};
+    use crate::curve::{Curve, CurveSegment};
     // 4 µm at a lever of 2²⁷ positions, whatever the position; outside beyond 1 mm.
     let segments =
-        std::vec![Segment::new(Position(100_000), 15, [4 * 256_000, 0, 0, 0]).to_bytes()];
+        std::vec![CurveSegment::new(Position(100_000), 15, [4 * 256_000, 0, 0, 0]).to_bytes()];
     let curve = Curve::new(Position(0), segments.leak(), &[[0, 0]], 17);
     let origin = Position(1_000);
     let tilt = Tilt { along: LinearAxis::X, lever: LinearAxis::Z, origin, angle: curve };
@@ -390,7 +390,7 @@ fn a_tilt_that_bends_is_its_curve_at_the_lever() {
 
 #[test]
 fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
-    use crate::{pitch_table::PitchErrorTable, travel::Interval};
+    use crate::{pitch_table::PitchErrorTable, reversal::Interval};
     let table =
         |um: [i32; 2]| std::vec![(um[0] * 256_000).to_le_bytes(), (um[1] * 256_000).to_le_bytes()];
     let pitch = PitchErrorTable {
@@ -400,7 +400,7 @@ fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
         reverse: Some(table([5, 9]).leak()),
     };
     let terms = with(&[(Target::Axis(LinearAxis::Z), 0, Effect::Table(pitch))]);
-    let config = crate::travel::ReversalConfig::default();
+    let config = crate::reversal::ReversalConfig::default();
     for (direction, z, expected_um, outside) in [
         (1, 1_000, 3.0, false),
         (-1, 0, 5.0, false),

@@ -13,8 +13,8 @@ use crate::{
 };
 
 /// The lever at which an angle is stored: 2²⁷ position units, 1342.177 28 mm.
-pub const REFERENCE_LEVER: Position = Position(1 << LEVER_BITS);
-const LEVER_BITS: u32 = 27;
+pub const REFERENCE_LEVER: Position = Position(1 << REFERENCE_LEVER_BITS);
+const REFERENCE_LEVER_BITS: u32 = 27;
 
 /// An axis that tilts as it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +41,7 @@ impl<A> Tilt<A> {
         // At most 2³¹·(2³² − 1) + 2²⁶, below 2⁶³: neither step can wrap.
         FineNanometres::saturating_from(rounding_shift_right(
             i64::from(error.0).wrapping_mul(lever),
-            LEVER_BITS,
+            REFERENCE_LEVER_BITS,
         ))
     }
 }

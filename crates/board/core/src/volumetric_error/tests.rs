@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     axis_errors::CachedErrors,
     calibration::Calibration,
-    curve::Segment,
+    curve::CurveSegment,
     testing::{minimal_calibration, next_random},
     thermal_state::MachineThermalState,
     units::MicroDegrees,
@@ -46,7 +46,7 @@ fn drawn<'a>(seed: &mut u64, curve: Curve<'a>, most: i32) -> VolumetricErrorMode
 
 #[test]
 fn what_is_kept_is_what_is_computed_anew_wherever_the_axes_go() {
-    let segments = [Segment::new(Position(900), 16, [256, 7, 0, 0]).to_bytes()];
+    let segments = [CurveSegment::new(Position(900), 16, [256, 7, 0, 0]).to_bytes()];
     let curve = Curve::new(Position(-900), &segments, &[[0, 0]], 16);
     let mut seed = 1;
     for _ in 0..50 {

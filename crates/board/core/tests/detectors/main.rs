@@ -12,10 +12,10 @@ mod thermometers;
 use std::{env, f64::consts::TAU, thread};
 
 use trueup_core::{
-    dimensions::CODES_PER_TICK,
-    run_out::{MIN_BASELINE_WINDOWS, RunOutMonitor, WINDOW_MS},
+    design_parameters::CODES_PER_TICK,
+    run_out::{MIN_BASELINE_WINDOWS, RUN_OUT_WINDOW_MS, RunOutMonitor},
     sensor_health::SensorHealth,
-    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Rpm},
+    units::{AdcCode, READING_UNITS_PER_CODE, Rpm, SensorReading},
 };
 
 use crate::random::Random;
@@ -83,8 +83,8 @@ impl Sensor {
     }
 
     /// Without run-out and noise.
-    fn reading(&self) -> Reading {
-        Reading((self.level * f64::from(READING_UNITS_PER_CODE)) as i32)
+    fn reading(&self) -> SensorReading {
+        SensorReading((self.level * f64::from(READING_UNITS_PER_CODE)) as i32)
     }
 
     fn block(&mut self) -> Block {
@@ -116,7 +116,7 @@ fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
     let mut alarms = 0;
     for ms in 0..(hours * 3.6e6) as u64 {
         let block = sensor.block();
-        let is_well = health.check(&block, sensor.turns).is_some();
+        let is_well = health.check_codes(&block, sensor.turns).is_some();
         match sensor.speed() {
             Rpm(0) => run_out.record_standstill(),
             speed => run_out.receive(&block, sensor.reading(), speed),
@@ -263,11 +263,11 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         for _ in 0..lived {
             let block = sensor.block();
             fault.stuck = block[CODES_PER_TICK - 1];
-            health.check(&block, sensor.turns);
+            health.check_codes(&block, sensor.turns);
         }
         let ms = (1..=detector.found_within_ms).find(|_| {
             let block = sensor.block().map(|code| (detector.bend)(code, &mut fault));
-            health.check(&block, sensor.turns).is_none() || (detector.is_reported)(&health)
+            health.check_codes(&block, sensor.turns).is_none() || (detector.is_reported)(&health)
         });
         found += u32::from(ms.is_some());
     }
@@ -286,7 +286,7 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
         let mut health = SensorHealth::default();
         for _ in 0..500 {
-            health.check(&sensor.block(), sensor.turns);
+            health.check_codes(&sensor.block(), sensor.turns);
         }
         let mut block = sensor.block();
         let whole = block;
@@ -296,7 +296,7 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         for code in &mut block[first..first + length] {
             *code = AdcCode(code.0.saturating_add_signed(by as i16));
         }
-        let passed = health.check(&block, sensor.turns).copied();
+        let passed = health.check_codes(&block, sensor.turns).copied();
         let is_mended = passed.is_some_and(|passed| {
             passed.iter().zip(&whole).all(|(a, b)| a.0.abs_diff(b.0) <= 32) && !health.has_jumped()
         });
@@ -322,7 +322,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
         sensor.run_out = sensor.run_out_then;
         let mut run_out = RunOutMonitor::default();
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {
-            (0..windows * u32::from(WINDOW_MS)).any(|_| {
+            (0..windows * u32::from(RUN_OUT_WINDOW_MS)).any(|_| {
                 let block = sensor.block();
                 run_out.receive(&block, sensor.reading(), sensor.speed());
                 until_odd && run_out.is_anomalous()

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::TAU, sync::OnceLock};
 
-use trueup_core::dimensions::CODES_PER_TICK;
+use trueup_core::design_parameters::CODES_PER_TICK;
 
 /// A generator of random numbers; normal ones are from a table: a thousand million codes are asked for.
 pub struct Random {

@@ -5,8 +5,8 @@ use trueup_core::{
     freeze_detector::FROZEN_AFTER_READINGS,
     index_set::IndexSet,
     temperature_channels::{TemperatureChannel, TemperatureChannels},
-    thermal_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, RateLimit},
-    thermometer::{RawReading, Thermometer},
+    temperature_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, TemperatureRateLimit},
+    thermometer::{RawTemperatureReading, Thermometer},
     units::Temperature,
 };
 
@@ -17,8 +17,9 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
     let mut random = Random::new(20);
     for _ in 0..3_000 {
         let celsius = random.between(-20.0, 120.0);
-        let micro_ohms =
-            |c: f64| RawReading((100e6 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)).round() as i32);
+        let micro_ohms = |c: f64| {
+            RawTemperatureReading((100e6 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)).round() as i32)
+        };
         let mut channel = TemperatureChannel::default();
         for _ in 0..10 {
             let reading = micro_ohms(celsius + 0.03 * random.normal());
@@ -27,9 +28,9 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
         }
         // A wire that is off, a short circuit, a converter that does not answer: anywhere beyond −65…408 °C.
         let dead = match random.bits() % 3 {
-            0 => RawReading(random.between(249.1e6, 2e9) as i32),
-            1 => RawReading(random.between(0.0, 73.9e6) as i32),
-            _ => RawReading::NONE,
+            0 => RawTemperatureReading(random.between(249.1e6, 2e9) as i32),
+            1 => RawTemperatureReading(random.between(0.0, 73.9e6) as i32),
+            _ => RawTemperatureReading::NONE,
         };
         let readings = (1..=10).find(|_| {
             channel.receive(Thermometer::Pt100.convert(dead).ok());
@@ -108,8 +109,8 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
 }
 
 /// Returns the limit of a PT100 that a law uses, where none is stated.
-fn default_limit() -> RateLimit {
-    RateLimit::new(
+fn default_limit() -> TemperatureRateLimit {
+    TemperatureRateLimit::new(
         DEFAULT_RATE_DECIKELVIN_PER_MIN,
         Thermometer::Pt100.resolution(),
         IndexSet::default(),
@@ -175,7 +176,7 @@ impl Thermometers {
                 *last = exact.round() * STEP_C;
             }
             let reading = *last * f64::from(Temperature::PER_KELVIN);
-            channels.receive_rate_limited(
+            channels.receive_rate_limited_reading(
                 number,
                 Ok(Temperature(reading as i32)),
                 &default_limit(),

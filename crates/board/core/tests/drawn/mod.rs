@@ -7,21 +7,21 @@ use trueup_core::{
         SpindleModel, SpindleTemperatureModel, SpindleWarmupModel,
     },
     cnc::LinearAxis,
-    curve::{Curve, Segment},
-    dimensions::{CHANNEL_COUNT, MAX_TERMS},
+    curve::{Curve, CurveSegment},
+    design_parameters::{MAX_TERMS, TEMPERATURE_CHANNEL_COUNT},
+    displacement_sensor::{SensorLaw, SensorSlope},
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
     kinematics::{self, Kinematics},
     lag::SmoothingFactor,
-    limits::Limits,
-    pitch_table::{Beam, PitchErrorTable},
-    sensor::{SensorLaw, SensorSlope},
+    limits::CompensationLimits,
+    pitch_table::{GantryBeam, PitchErrorTable},
+    reversal::{Interval, ReversalConfig},
     term::{Effect, SpeedExponent, Target, Term},
-    thermal::{LawSegment, ThermalExpansionLaw},
+    thermal::{ThermalExpansionLaw, ThermalLawSegment},
     thermometer::Thermometer,
     tool_direction::ToolDirection,
-    travel::{Interval, ReversalConfig},
-    units::{FineNanometres, Nanometres, Position, Reading, Temperature},
+    units::{FineNanometres, Nanometres, Position, SensorReading, Temperature},
     warmup,
 };
 
@@ -58,8 +58,9 @@ struct OwnedCurve {
 
 impl OwnedCurve {
     fn any() -> BoxedStrategy<Self> {
-        let segment = (numbers::<5>(), 0..32_u8)
-            .prop_map(|([end, c @ ..], shift)| Segment::new(Position(end), shift, c).to_bytes());
+        let segment = (numbers::<5>(), 0..32_u8).prop_map(|([end, c @ ..], shift)| {
+            CurveSegment::new(Position(end), shift, c).to_bytes()
+        });
         let index = (0..5_u16).prop_map(u16::to_le_bytes);
         let parts = (
             number(),
@@ -112,7 +113,7 @@ type OwnedLaw = Vec<[u8; 20]>;
 
 fn law() -> BoxedStrategy<OwnedLaw> {
     let piece = numbers::<5>().prop_map(|[start, constant, slope, gradient, gradient_slope]| {
-        LawSegment {
+        ThermalLawSegment {
             start: Temperature(start),
             constant: FineNanometres(constant),
             constant_slope: slope,
@@ -167,7 +168,7 @@ impl OwnedAxis {
             pitch: self.pitch.as_ref().map(OwnedPitch::pitch),
             dual: self.dual.as_ref().map(|(across, pitch)| DualDrive {
                 across: *across,
-                beam: Beam::new(Position(first), Position(second)),
+                beam: GantryBeam::new(Position(first), Position(second)),
                 pitch: pitch.pitch(),
             }),
             backlash: FineNanometres(backlash),
@@ -189,7 +190,7 @@ fn channel() -> impl Strategy<Value = u8> {
 /// A calibration that owns its tables.
 #[derive(Clone, Debug)]
 pub struct Machine {
-    thermometers: [Option<Thermometer>; CHANNEL_COUNT],
+    thermometers: [Option<Thermometer>; TEMPERATURE_CHANNEL_COUNT],
     chain: [Option<ElongationSource>; 3],
     sensor: [i32; 3],
     temperature: Option<(u8, u32, OwnedLaw)>,
@@ -200,7 +201,7 @@ pub struct Machine {
     straightness: [OwnedCurve; 6],
     squareness: [i32; 6],
     terms: Vec<Term<'static>>,
-    pub limits: Limits,
+    pub limits: CompensationLimits,
 }
 
 /// Returns a term of a diagnosis, of every kind that needs no table.
@@ -266,16 +267,17 @@ impl Machine {
             kinematics::RotaryAxis::B,
             kinematics::RotaryAxis::C,
         ]);
-        let wild =
-            (numbers::<3>(), size(), size(), size()).prop_map(|(max, slew, link, hold)| Limits {
+        let wild = (numbers::<3>(), size(), size(), size()).prop_map(|(max, slew, link, hold)| {
+            CompensationLimits {
                 max: max.map(Nanometres),
                 slew_nm_per_s: slew,
                 link_timeout_ms: link,
                 hold_ms: hold,
                 rejoin_nm_per_s: hold.rotate_left(9),
                 learned: Default::default(),
-            });
-        let usual = (1..1_000_000_u32).prop_map(|slew_nm_per_s| Limits {
+            }
+        });
+        let usual = (1..1_000_000_u32).prop_map(|slew_nm_per_s| CompensationLimits {
             max: [200_000, 300_000, 500_000].map(Nanometres),
             slew_nm_per_s,
             link_timeout_ms: 500,
@@ -329,7 +331,7 @@ impl Machine {
                 chain: self.chain,
                 sensor: SensorLaw {
                     k0: Nanometres(k0),
-                    zero: Reading(zero),
+                    zero: SensorReading(zero),
                     slope: SensorSlope(slope),
                 },
                 temperature: self.temperature.as_ref().map(|(channel, smoothing, pieces)| {

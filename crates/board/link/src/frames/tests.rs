@@ -213,7 +213,7 @@ proptest! {
             zero: bits & 4 != 0,
             service: bits & 8 != 0,
             confirm: bits & 16 != 0,
-            learned: ChangeRequest { part, amount: load_n, calibration: speed },
+            learned: LearnedChangeRequest { part, amount: load_n, calibration: speed },
         };
         prop_assert_eq!(decode_control(&encode_control(sent, count)), Ok(sent));
     }

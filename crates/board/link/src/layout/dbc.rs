@@ -3,7 +3,7 @@
 use core::fmt;
 use std::{format, string::String};
 
-use super::table::{FRAMES, FrameSpec, Multiplexing, SignalSpec};
+use super::frame_table::{FRAMES, FrameSpec, Multiplexing, SignalSpec};
 
 /// Prints the whole file.
 ///

@@ -8,7 +8,7 @@ use can_dbc::{
 
 use super::{
     dbc::write_dbc,
-    table::{FRAMES, FrameSpec, Multiplexing},
+    frame_table::{FRAMES, FrameSpec, Multiplexing},
     *,
 };
 use crate::{

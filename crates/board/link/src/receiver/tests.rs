@@ -164,7 +164,7 @@ fn a_cycle_comes_out_once_with_its_second_half_in_either_order() {
         assert_eq!(receiver.accept(&halves[1]), Ok(Some(sent)));
     }
     assert_eq!(receiver.counters().accepted, 512);
-    assert_eq!(receiver.unpaired_count(), 0);
+    assert_eq!(receiver.unpaired_frame_count(), 0);
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn halves_of_different_cycles_are_never_joined() {
     assert_eq!(receiver.accept(&encode_offset_z(&output(2), 2)), Ok(None));
     assert_eq!(receiver.accept(&encode_offset_xy(&output(3), 3)), Ok(None));
     assert_eq!(receiver.accept(&encode_offset_z(&output(3), 3)), Ok(Some(output(3))));
-    assert_eq!(receiver.unpaired_count(), 2);
+    assert_eq!(receiver.unpaired_frame_count(), 2);
     assert_eq!(receiver.counters().lost, 1);
 }
 
@@ -185,7 +185,7 @@ fn a_damaged_half_drops_its_cycle_alone() {
     assert!(receiver.accept(&damaged(encode_offset_z(&output(1), 1))).is_err());
     assert_eq!(receiver.accept(&encode_offset_xy(&output(2), 2)), Ok(None));
     assert_eq!(receiver.accept(&encode_offset_z(&output(2), 2)), Ok(Some(output(2))));
-    assert_eq!((receiver.counters().crc_errors, receiver.unpaired_count()), (1, 1));
+    assert_eq!((receiver.counters().crc_errors, receiver.unpaired_frame_count()), (1, 1));
 }
 
 #[test]

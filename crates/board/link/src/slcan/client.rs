@@ -11,13 +11,13 @@ pub const CLOSE_COMMAND: &[u8] = b"C\r";
 
 /// Message of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum AdapterMessage {
     /// A frame from the bus.
     Frame(Frame),
     /// The oldest line that is not answered yet was accepted.
     Accepted,
     /// The oldest line that is not answered yet was refused.
-    Refused,
+    Rejected,
     /// Something else: version, serial number, status, or a frame that is not a standard data
     /// frame.
     Other(LineBuffer),
@@ -36,11 +36,11 @@ pub enum Event {
 /// assert!(matches!(heard.next(), Some(Event::Frame(frame)) if frame.payload() == [0x7F]));
 /// ```
 #[derive(Clone, Debug, Default)]
-pub struct Client {
+pub struct SlcanClient {
     lines: LineSplitter,
 }
 
-impl Client {
+impl SlcanClient {
     /// At the start of a line.
     #[must_use]
     pub const fn new() -> Self {
@@ -48,20 +48,19 @@ impl Client {
     }
 
     /// Takes a byte from the adapter; returns its message, with the byte that ends it.
-    pub fn receive(&mut self, byte: u8) -> Option<Event> {
+    pub fn receive(&mut self, byte: u8) -> Option<AdapterMessage> {
         if byte == BELL {
             // A refusal is a line of its own, without an end; what stood before it is cut off.
             self.lines = LineSplitter::new();
-            return Some(Event::Refused);
+            return Some(AdapterMessage::Rejected);
         }
         Some(match self.lines.push(byte)? {
-            Err(error) => Event::Malformed(error),
+            Err(error) => AdapterMessage::Malformed(error),
             // `z` is how adapters with automatic polling accept a frame.
-            Ok(line) if line.is_empty() || line == b"z" => Event::Accepted,
-            Ok(line) if line.first() == Some(&b't') => {
-                decode_line(strip_timestamp(line)).map_or_else(Event::Malformed, Event::Frame)
-            }
-            Ok(line) => Event::Other(LineBuffer::from_slice(line).unwrap_or_default()),
+            Ok(line) if line.is_empty() || line == b"z" => AdapterMessage::Accepted,
+            Ok(line) if line.first() == Some(&b't') => decode_line(strip_timestamp(line))
+                .map_or_else(AdapterMessage::Malformed, AdapterMessage::Frame),
+            Ok(line) => AdapterMessage::Other(LineBuffer::from_slice(line).unwrap_or_default()),
         })
     }
 }
@@ -91,20 +90,23 @@ mod tests {
     #[test]
     fn a_stamped_frame_is_the_frame_and_other_digits_are_malformed() {
         let of = |line: &[u8]| {
-            let mut client = Client::new();
+            let mut client = SlcanClient::new();
             line.iter().chain(b"\r").find_map(|byte| client.receive(*byte))
         };
         let plain = of(b"t18121234");
-        assert!(matches!(plain, Some(Event::Frame(_))));
+        assert!(matches!(plain, Some(AdapterMessage::Frame(_))));
         for stamp in [&b"EA5F"[..], b"0012ab9F"] {
             assert_eq!(of(&[b"t18121234", stamp].concat()), plain);
         }
         for wrong in [&b"1"[..], b"12", b"123456", b"12G4"] {
-            assert!(matches!(of(&[b"t18121234", wrong].concat()), Some(Event::Malformed(_))));
+            assert!(matches!(
+                of(&[b"t18121234", wrong].concat()),
+                Some(AdapterMessage::Malformed(_))
+            ));
         }
     }
 
-    fn received(client: &mut Client, port: &mut Port) -> Vec<Event> {
+    fn received(client: &mut SlcanClient, port: &mut Port) -> Vec<AdapterMessage> {
         let bytes = core::iter::from_fn(|| port.pop());
         bytes.filter_map(|byte| client.receive(byte)).collect()
     }
@@ -112,7 +114,7 @@ mod tests {
     #[test]
     fn a_client_opens_a_port_in_any_state_and_receives_its_frames() {
         for left_over in [&b""[..], b"O\r", b"L\rt1", b"tttttttttttttttttttttttttttttttttttttt"] {
-            let (mut client, mut port) = (Client::new(), Port::new(1));
+            let (mut client, mut port) = (SlcanClient::new(), Port::new(1));
             for byte in left_over {
                 port.receive(*byte);
             }
@@ -122,10 +124,10 @@ mod tests {
             }
             let answers = received(&mut client, &mut port);
             assert_eq!(answers.len(), 5);
-            assert!(answers[1..].iter().all(|answer| *answer == Event::Accepted));
+            assert!(answers[1..].iter().all(|answer| *answer == AdapterMessage::Accepted));
             let frame = Frame::new(0x281, &[1, 2, 3]).unwrap();
             assert!(port.send(&frame));
-            assert_eq!(received(&mut client, &mut port), [Event::Frame(frame)]);
+            assert_eq!(received(&mut client, &mut port), [AdapterMessage::Frame(frame)]);
             for byte in CLOSE_COMMAND {
                 port.receive(*byte);
             }
@@ -135,16 +137,19 @@ mod tests {
 
     #[test]
     fn a_client_that_joins_in_mid_line_loses_that_line_alone() {
-        let mut client = Client::new();
+        let mut client = SlcanClient::new();
         let text = b"AABB\rt181\rt70105\rt701105\rV1013\rz\r";
         let events: Vec<_> = text.iter().filter_map(|byte| client.receive(*byte)).collect();
         assert_eq!(events.len(), 6);
-        assert!(matches!(events[0], Event::Other(_)));
-        assert_eq!(events[1], Event::Malformed(SlcanError::Truncated { len: 4 }));
-        assert_eq!(events[2], Event::Malformed(SlcanError::Trailing { at: 5, found: b'5' }));
-        assert_eq!(events[3], Event::Frame(Frame::new(0x701, &[5]).unwrap()));
-        assert!(matches!(&events[4], Event::Other(line) if line == b"V1013"));
-        assert_eq!(events[5], Event::Accepted);
+        assert!(matches!(events[0], AdapterMessage::Other(_)));
+        assert_eq!(events[1], AdapterMessage::Malformed(SlcanError::Truncated { len: 4 }));
+        assert_eq!(
+            events[2],
+            AdapterMessage::Malformed(SlcanError::Trailing { at: 5, found: b'5' })
+        );
+        assert_eq!(events[3], AdapterMessage::Frame(Frame::new(0x701, &[5]).unwrap()));
+        assert!(matches!(&events[4], AdapterMessage::Other(line) if line == b"V1013"));
+        assert_eq!(events[5], AdapterMessage::Accepted);
     }
 
     proptest! {
@@ -155,7 +160,7 @@ mod tests {
                 0..400,
             ),
         ) {
-            let mut client = Client::new();
+            let mut client = SlcanClient::new();
             for byte in bytes {
                 prop_assert_eq!(client.receive(byte).is_some(), [CR, BELL].contains(&byte));
             }

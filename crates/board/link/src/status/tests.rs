@@ -1,7 +1,7 @@
 //! Every item there and back, and what has no meaning.
 
 use super::*;
-use crate::{e2e::Checker, layout::E2E_COUNTER};
+use crate::{e2e::E2eChecker, layout::E2E_COUNTER};
 use proptest::prelude::*;
 use std::{format, string::String, vec::Vec};
 
@@ -65,7 +65,7 @@ proptest! {
             let again = encode(&status, counter);
             prop_assert_eq!(&again.data()[3..], &data[3..]);
             prop_assert_eq!(E2E_COUNTER.extract(again.data()), counter.into());
-            prop_assert!(Checker::new(STATUS_ID).check(&again).is_ok());
+            prop_assert!(E2eChecker::new(STATUS_ID).check(&again).is_ok());
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::{
-    holding::{CncData, registers_to_write},
-    input::InputBlock,
+    holding_block::{CncData, registers_to_write},
+    input_block::InputBlock,
 };
 use proptest::prelude::*;
 use std::{vec, vec::Vec as List};
@@ -11,8 +11,8 @@ use trueup_core::cnc::MachineConditions;
 
 /// Registers that count what was taken.
 pub(crate) struct Mock {
-    pub(crate) input: input::Registers,
-    pub(crate) taken: List<holding::Registers>,
+    pub(crate) input: input_block::InputRegisters,
+    pub(crate) taken: List<holding_block::HoldingRegisters>,
     pub(crate) is_busy: bool,
 }
 
@@ -23,17 +23,20 @@ impl Mock {
 }
 
 impl RegisterStore for Mock {
-    fn input_registers(&mut self) -> input::Registers {
+    fn input_registers(&mut self) -> input_block::InputRegisters {
         self.input
     }
 
-    fn holding_registers(&mut self) -> holding::Registers {
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
         self.taken.last().copied().unwrap_or([0; WHOLE_HOLDING_LEN])
     }
 
-    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(
+        &mut self,
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         if self.is_busy {
-            return Err(Busy);
+            return Err(RegistersBusy);
         }
         self.taken.push(*block);
         Ok(())
@@ -61,7 +64,7 @@ pub(crate) fn write(block: &[u16]) -> List<u8> {
 
 /// Returns what is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
 fn query(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
-    let mut response = Response::new();
+    let mut response = ResponseBuffer::new();
     let over_tcp =
         handle_request(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {
             assert_eq!(response[..4], [0xAB, 0xCD, 0, 0]);
@@ -207,7 +210,7 @@ fn the_order_of_words_is_tried_at_address_100() {
 #[test]
 fn a_frame_whose_length_or_checksum_is_wrong_is_not_answered() {
     let mut bridge = Mock::new();
-    let mut response = Response::new();
+    let mut response = ResponseBuffer::new();
     let block = write(&CncData::default().encode(0));
     let good = [tcp(1, &block), rtu(1, &block)];
     for (transport, good) in [Transport::Tcp, Transport::Rtu].into_iter().zip(good) {
@@ -249,7 +252,7 @@ proptest! {
             prop_assert!(pdu.starts_with(&[16, 0, 0, 0, 17, 34]) && pdu.len() == 40 && unit == 1);
         }
         prop_assert!(unit != 0 || answers[1].is_none());
-        let mut response = Response::new();
+        let mut response = ResponseBuffer::new();
         for transport in [Transport::Tcp, Transport::Rtu] {
             handle_request(transport, 1, &rest, &mut bridge, &mut response);
         }

@@ -3,7 +3,7 @@
 use super::*;
 use trueup_core::{
     cnc::{LinearAxis, MachineConditions},
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     lag::SmoothingFactor,
     term::{CategoryFactor, ConditionLevels, Effect, Target, Term},
     units::{AdcCode, FineNanometres, Nanometres},
@@ -56,7 +56,7 @@ impl ConditionRig {
             self.node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
             let emergency_frame = self
                 .node
-                .service()
+                .next_service_frame()
                 .and_then(|frame| trueup_canopen::emergency::decode(&frame).ok());
             self.emergencies.extend(
                 emergency_frame

@@ -2,11 +2,11 @@
 
 use trueup_core::{
     calibration::{Calibration, ElongationSource, MachineIdentity, SpindleModel},
+    displacement_sensor::{SensorLaw, SensorSlope},
     kinematics::Kinematics,
-    limits::Limits,
-    sensor::{SensorLaw, SensorSlope},
+    limits::CompensationLimits,
     tool_direction::ToolDirection,
-    units::{Nanometres, Reading, Temperature},
+    units::{Nanometres, SensorReading, Temperature},
 };
 
 /// Returns a bridge with a sensor and nothing else.
@@ -15,7 +15,11 @@ pub(crate) fn sensor_only_calibration() -> Calibration<'static> {
         thermometers: [None; 8],
         spindle: SpindleModel {
             chain: [Some(ElongationSource::Sensor), None, None],
-            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: SensorSlope(1 << 28) },
+            sensor: SensorLaw {
+                k0: Nanometres(0),
+                zero: SensorReading(0),
+                slope: SensorSlope(1 << 28),
+            },
             ..SpindleModel::default()
         },
         kinematics: Kinematics { zero: ToolDirection::DOWN, axes: [None; 2] },
@@ -24,7 +28,7 @@ pub(crate) fn sensor_only_calibration() -> Calibration<'static> {
         squareness: Default::default(),
         volume: None,
         terms: Default::default(),
-        limits: Limits {
+        limits: CompensationLimits {
             max: [Nanometres(500_000); 3],
             slew_nm_per_s: 1_000,
             link_timeout_ms: 500,

@@ -10,27 +10,33 @@ use trueup_core::cnc::Control;
 use trueup_link::frames;
 
 use super::{
-    Configuration, Interface, Node,
-    firmware::{FirmwareChunk, SlotStates, UpdateStep},
+    Interface, Node, NodeConfiguration,
+    firmware_update::{FirmwareChunk, SlotStates, UpdateStep},
     sensor_only_calibration,
 };
 
 /// Returns a node at rest in slot B, whose CNC says `Service`.
 fn node_in_service(buffer: &mut [u8]) -> Node<'_> {
     let mut node =
-        Node::new(Configuration { buffer: Some(buffer), ..sensor_only_calibration().into() });
+        Node::new(NodeConfiguration { buffer: Some(buffer), ..sensor_only_calibration().into() });
     let service = Control { service: true, ..Control::REFERENCED };
     for counter in 0..4 {
         node.receive(Interface::Can, &frames::encode_control(service, counter)).expect("in order");
     }
     let status = [[5, 0], [3, 2]];
     let versions = [0x0102_0300, 0x0102_0400];
-    node.set_slots(SlotStates { running: 1, versions, status, floor: 7, choice: 0x0005_0202 });
+    node.set_slot_states(SlotStates {
+        running: 1,
+        versions,
+        status,
+        floor: 7,
+        choice: 0x0005_0202,
+    });
     node
 }
 
 /// Returns the next step, and its bytes.
-fn take_step(node: &mut Node<'_>) -> Option<(UpdateStep, Vec<u8>)> {
+fn take_update_step(node: &mut Node<'_>) -> Option<(UpdateStep, Vec<u8>)> {
     let mut piece = FirmwareChunk::new();
     node.take_firmware_step(&mut piece).map(|step| (step, piece.to_vec()))
 }
@@ -51,17 +57,17 @@ fn begin(node: &mut Node<'_>) {
     node.open(O::FirmwareHeader, Some(512)).expect("allowed");
     for segment in header().chunks(7) {
         node.append(O::FirmwareHeader, segment).expect("room");
-        assert_eq!(take_step(node), None, "not before all of it has come");
+        assert_eq!(take_update_step(node), None, "not before all of it has come");
     }
     node.close(O::FirmwareHeader).expect("whole");
-    assert_eq!(take_step(node), Some((UpdateStep::Begin, header().to_vec())));
-    assert_eq!(take_step(node), None, "one at a time");
+    assert_eq!(take_update_step(node), Some((UpdateStep::Begin, header().to_vec())));
+    assert_eq!(take_update_step(node), None, "one at a time");
     node.finish_firmware_step(UpdateStep::Begin, Ok(()));
 }
 
 /// Has the board take what waits.
 fn write_pending_to_flash(node: &mut Node<'_>, flash: &mut Vec<u8>) {
-    let (step, bytes) = take_step(node).expect("bytes wait");
+    let (step, bytes) = take_update_step(node).expect("bytes wait");
     assert_eq!(step, UpdateStep::Write);
     flash.extend(bytes);
     node.finish_firmware_step(step, Ok(()));
@@ -100,7 +106,7 @@ fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
         write_pending_to_flash(&mut node, &mut flash);
     }
     node.close(O::FirmwareImage).expect("whole");
-    assert_eq!(take_step(&mut node), Some((UpdateStep::Finish, Vec::new())));
+    assert_eq!(take_update_step(&mut node), Some((UpdateStep::Finish, Vec::new())));
     node.finish_firmware_step(UpdateStep::Finish, Ok(()));
     assert_eq!(flash, image);
     assert_eq!((number(&node, O::FirmwareReceived), number(&node, O::FirmwareRefused)), (2_512, 0));
@@ -113,7 +119,7 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     node.open(O::FirmwareHeader, None).expect("allowed");
     node.append(O::FirmwareHeader, &[0; 512]).expect("room");
     node.close(O::FirmwareHeader).expect("whole");
-    let (step, _) = take_step(&mut node).expect("a step");
+    let (step, _) = take_update_step(&mut node).expect("a step");
     node.finish_firmware_step(step, Err(9));
     assert_eq!(number(&node, O::FirmwareRefused), 9);
     assert_eq!(node.open(O::FirmwareImage, None), Err(AbortCode::DeviceState), "none is under way");
@@ -122,7 +128,7 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     assert_eq!(number(&node, O::FirmwareRefused), 0);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[1; 7]).expect("room");
-    let (step, _) = take_step(&mut node).expect("a step");
+    let (step, _) = take_update_step(&mut node).expect("a step");
     node.finish_firmware_step(step, Err(11));
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(AbortCode::Value));
     assert_eq!(
@@ -140,7 +146,7 @@ fn a_header_of_another_length_and_too_many_bytes_at_once_are_refused() {
     node.append(O::FirmwareHeader, &[0; 511]).expect("room");
     assert_eq!(node.append(O::FirmwareHeader, &[0; 2]), Err(AbortCode::TooLong));
     assert_eq!(node.close(O::FirmwareHeader), Err(AbortCode::TooShort));
-    assert_eq!(take_step(&mut node), None);
+    assert_eq!(take_update_step(&mut node), None);
     begin(&mut node);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[0; 512]).expect("room");
@@ -166,7 +172,7 @@ fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_w
             .expect("in order");
     }
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(AbortCode::DeviceState));
-    node.firmware = super::firmware::FirmwareUpdate::default();
+    node.firmware = super::firmware_update::FirmwareUpdate::default();
     for counter in 8..12 {
         let service = Control { service: true, ..Control::REFERENCED };
         node.receive(Interface::Can, &frames::encode_control(service, counter)).expect("in order");

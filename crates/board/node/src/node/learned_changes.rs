@@ -7,7 +7,7 @@
 //! reported until `Control` comes without any; the frame is a sign of life all the same. A zero is always right:
 //! of another calibration nothing is in force, because a new one begins with a start.
 
-use trueup_core::learned::{ChangeRequest, calibration_id};
+use trueup_core::learned::{LearnedChangeRequest, calibration_id};
 use trueup_store::calibration::calibration_crc;
 
 use super::Node;
@@ -16,7 +16,7 @@ impl Node<'_> {
     /// Takes what a believed `Control` says of it.
     // Called for none of the 50 frames a second, or for one part: kept out of the code that all frames run.
     #[inline(never)]
-    pub(super) fn apply_learned_change(&mut self, change: ChangeRequest) {
+    pub(super) fn apply_learned_change(&mut self, change: LearnedChangeRequest) {
         let is_ours = change.calibration == calibration_id(calibration_crc(self.blob));
         let is_taken = match &self.bridge {
             Some(bridge) if is_ours => bridge.apply_learned_change(&mut self.state, change),

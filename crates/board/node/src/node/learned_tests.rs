@@ -8,8 +8,8 @@ use trueup_canopen::{
 };
 use trueup_core::{
     cnc::Control,
-    dimensions::CODES_PER_TICK,
-    learned::{ChangeRequest, LearnedLimits, PART_COUNT, calibration_id},
+    design_parameters::CODES_PER_TICK,
+    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, LearnedLimits, calibration_id},
     units::AdcCode,
 };
 use trueup_store::calibration::{MAX_BLOB_SIZE, encode};
@@ -37,7 +37,7 @@ impl LearnedChangeRig {
         calibration.limits.max = [trueup_core::units::Nanometres(2_000_000); 3];
         let mut room = vec![0; MAX_BLOB_SIZE];
         let blob = encode(&calibration, &mut room).expect("small").to_vec().leak();
-        let node = Node::new(Configuration { blob, ..calibration.into() });
+        let node = Node::new(NodeConfiguration { blob, ..calibration.into() });
         Self { node, calibration: calibration_id(calibration_crc(blob)), counter: 0 }
     }
 
@@ -51,8 +51,8 @@ impl LearnedChangeRig {
         rig
     }
 
-    fn change_request(&self, part: u8, amount: i16) -> ChangeRequest {
-        ChangeRequest { part, amount, calibration: self.calibration }
+    fn change_request(&self, part: u8, amount: i16) -> LearnedChangeRequest {
+        LearnedChangeRequest { part, amount, calibration: self.calibration }
     }
 
     /// `Control` so often, 20 ms apart, over CAN; gives the offset of Z in every tick.
@@ -74,13 +74,13 @@ impl LearnedChangeRig {
         let mut all = Vec::new();
         for _ in 0..ms {
             self.node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
-            self.node.service();
+            self.node.next_service_frame();
             all.push(self.z_offset_nm());
         }
         all
     }
 
-    fn apply_change(&mut self, change: ChangeRequest, count: usize) -> Vec<i32> {
+    fn apply_change(&mut self, change: LearnedChangeRequest, count: usize) -> Vec<i32> {
         self.send_control_frames(Control { learned: change, ..Control::ENGAGED }, count)
     }
 
@@ -88,8 +88,8 @@ impl LearnedChangeRig {
         self.node.last_output().offset.map_or(i32::MIN, |[_, _, z]| z.0)
     }
 
-    fn now(&self) -> [i16; PART_COUNT] {
-        self.node.state.learned().current()
+    fn now(&self) -> [i16; LEARNED_PART_COUNT] {
+        self.node.state.learned_changes().current_amounts()
     }
 
     fn is_refused(&self) -> bool {
@@ -114,27 +114,27 @@ fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step
     rig.apply_change(rig.change_request(1, 0), 1);
     rig.apply_change(rig.change_request(5, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 700);
-    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reported() {
     let good = LearnedChangeRig::new().change_request(1, 100);
     for bad in [
-        ChangeRequest { amount: 2_001, ..good },
-        ChangeRequest { amount: -2_001, ..good },
-        ChangeRequest { part: 2, amount: 1, ..good },
-        ChangeRequest { part: 5, amount: 5_001, ..good },
-        ChangeRequest { part: 6, ..good },
-        ChangeRequest { part: 7, ..good },
-        ChangeRequest { calibration: good.calibration ^ 1, ..good },
-        ChangeRequest { calibration: good.calibration ^ 0x8000, ..good },
+        LearnedChangeRequest { amount: 2_001, ..good },
+        LearnedChangeRequest { amount: -2_001, ..good },
+        LearnedChangeRequest { part: 2, amount: 1, ..good },
+        LearnedChangeRequest { part: 5, amount: 5_001, ..good },
+        LearnedChangeRequest { part: 6, ..good },
+        LearnedChangeRequest { part: 7, ..good },
+        LearnedChangeRequest { calibration: good.calibration ^ 1, ..good },
+        LearnedChangeRequest { calibration: good.calibration ^ 0x8000, ..good },
     ] {
         let mut rig = LearnedChangeRig::new_engaged();
         rig.apply_change(bad, 50);
         assert_eq!(
             (rig.now(), rig.z_offset_nm()),
-            ([0; PART_COUNT], BASE_ELONGATION_NM),
+            ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM),
             "{bad:?}"
         );
         assert!(rig.is_refused(), "{bad:?}");
@@ -157,17 +157,21 @@ fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_no
     rig.apply_change(rig.change_request(1, 100), 1);
     let ours = rig.calibration;
     for (part, calibration) in (1..=5).map(|part| (part, ours ^ 1)) {
-        rig.apply_change(ChangeRequest { part, amount: 0, calibration }, 100);
+        rig.apply_change(LearnedChangeRequest { part, amount: 0, calibration }, 100);
     }
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 0], false));
     for part in 1..=5 {
         rig.apply_change(rig.change_request(part, 0), 100);
     }
-    assert_eq!((rig.now(), rig.is_refused()), ([0; PART_COUNT], false), "no cap is below 0");
+    assert_eq!(
+        (rig.now(), rig.is_refused()),
+        ([0; LEARNED_PART_COUNT], false),
+        "no cap is below 0"
+    );
 
     // Nor by a board without a calibration.
-    let mut bare = Node::new(Configuration::default());
-    let learned = ChangeRequest { part: 1, amount: 0, calibration: calibration_id(0) };
+    let mut bare = Node::new(NodeConfiguration::default());
+    let learned = LearnedChangeRequest { part: 1, amount: 0, calibration: calibration_id(0) };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
         bare.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
@@ -180,15 +184,18 @@ fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_no
 fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
     let mut node = Node::new(sensor_only_calibration().into());
     // Without a blob its CRC is 0.
-    let learned =
-        ChangeRequest { part: 1, amount: 1, calibration: calibration_id(calibration_crc(&[])) };
+    let learned = LearnedChangeRequest {
+        part: 1,
+        amount: 1,
+        calibration: calibration_id(calibration_crc(&[])),
+    };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
         node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
         node.tick(1, TickInput::default());
     }
     assert!(node.faults(node.last_output()).contains(Fault::LearnedRefused));
-    assert_eq!(node.state.learned().current(), [0; PART_COUNT]);
+    assert_eq!(node.state.learned_changes().current_amounts(), [0; LEARNED_PART_COUNT]);
 }
 
 #[test]
@@ -206,7 +213,7 @@ fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
     let strange = frames::encode_control(control, 0);
     assert_eq!(rig.node.receive(Interface::Serial, &strange), Ok(None));
     rig.run_for_ms(400);
-    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
     assert!(rig.node.master.has_second_sender(), "a sender on another interface is reported");
 }
 
@@ -221,7 +228,7 @@ fn of_two_masters_on_one_line_neither_is_believed() {
     }
     rig.send_control_frames(Control { learned, ..Control::ENGAGED }, 5);
     assert!(rig.node.master.has_second_sender());
-    assert_eq!(rig.now(), [0; PART_COUNT]);
+    assert_eq!(rig.now(), [0; LEARNED_PART_COUNT]);
 }
 
 #[test]
@@ -230,7 +237,7 @@ fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
     rig.apply_change(rig.change_request(1, 1_000), 1);
     rig.apply_change(rig.change_request(1, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 50);
-    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((rig.now(), rig.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
@@ -263,7 +270,7 @@ fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
     assert_eq!(reported, Ok(ObjectValue::Number(30)));
     rig.send_control_frames(Control { service: true, ..Control::REFERENCED }, 1);
     rig.node.write(EntryContent::Forget, CLEAR_REFERENCE_SIGNATURE).expect("at rest, and allowed");
-    assert_eq!(rig.now(), [0; PART_COUNT]);
+    assert_eq!(rig.now(), [0; LEARNED_PART_COUNT]);
 
     rig.send_control_frames(at_rest, 200);
     let retained = rig.node.retained_state();
@@ -271,5 +278,5 @@ fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
     again.node.resume(Some(&retained), 0);
     again.send_control_frames(Control::REFERENCED, 3);
     again.send_control_frames(Control::ENGAGED, 100);
-    assert_eq!((again.now(), again.z_offset_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert_eq!((again.now(), again.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
 }

@@ -141,7 +141,7 @@ impl Master {
     }
 
     /// Records a CNC's frame on a line that is not the master's. A damaged frame is noise and does not count.
-    pub(crate) fn record_other_interface(&mut self) {
+    pub(crate) fn record_frame_on_other_interface(&mut self) {
         self.other_line_ms = OTHER_INTERFACE_REPORT_MS;
     }
 

@@ -12,7 +12,9 @@ impl Node<'_> {
             Some(NmtCommand::ResetNode) if self.check_change_allowed().is_ok() => {
                 self.restart = true
             }
-            Some(NmtCommand::ResetCommunication) if self.is_at_rest() => self.reset_communication(),
+            Some(NmtCommand::ResetCommunication) if self.is_offset_inactive() => {
+                self.reset_communication()
+            }
             _ => {}
         }
     }
@@ -20,13 +22,13 @@ impl Node<'_> {
     /// A restart that a master has requested, once.
     pub fn take_restart_request(&mut self) -> bool {
         // The CNC may have engaged since.
-        core::mem::take(&mut self.restart) && self.is_at_rest()
+        core::mem::take(&mut self.restart) && self.is_offset_inactive()
     }
 
     /// A calibration that is being stored just now is stored all the same; only its answer is
     /// no longer sent.
     fn reset_communication(&mut self) {
-        self.server = sdo::Server::default();
+        self.server = sdo::SdoServer::default();
         self.answer = None;
         self.consumer = HeartbeatConsumer::default();
         self.emergencies.reset_inhibit_time();

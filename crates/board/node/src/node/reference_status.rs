@@ -142,8 +142,8 @@ impl Node<'_> {
     }
 
     /// The machine is at rest: what was learned goes at once, and the reference, in force or offered.
-    pub(super) fn clear_learned_and_reference(&mut self) {
-        self.state.clear_learned();
+    pub(super) fn clear_learned_changes_and_reference(&mut self) {
+        self.state.clear_learned_changes();
         // Again and again it would only fill the flash.
         if self.offer.has_offered_reference()
             || self.state.reference() != ReferenceErrors::default()

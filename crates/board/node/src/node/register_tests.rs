@@ -11,16 +11,16 @@ use trueup_core::{
 };
 use trueup_link::{frames, status::StateBits};
 use trueup_modbus::{
-    holding::{self, CncData, HoldingBlock},
-    input,
+    holding_block::{self, CncData, HoldingBlock},
+    input_block,
     rtu::{FrameTiming, Slave},
-    server::{Busy, RegisterStore, Response},
+    server::{RegisterStore, RegistersBusy, ResponseBuffer},
 };
 
 use super::*;
 use crate::node::sensor_only_calibration;
 
-fn block(control: Control, counter: u16) -> holding::Registers {
+fn block(control: Control, counter: u16) -> holding_block::HoldingRegisters {
     CncData { control, ..CncData::default() }.encode(counter)
 }
 
@@ -29,7 +29,7 @@ fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
     for n in 0..ms {
         let noise = core::array::from_fn(|i| AdcCode(code + u16::from((n as usize + i) % 2 == 1)));
         node.tick(1, TickInput { codes: Some(&noise), ..TickInput::default() });
-        node.service();
+        node.next_service_frame();
     }
 }
 
@@ -128,7 +128,7 @@ fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
         for n in 30..40 {
             let mut theirs = block(Control::default(), n);
             theirs[5] ^= damage;
-            assert_eq!(node.receive_registers(&theirs), Err(Busy));
+            assert_eq!(node.receive_registers(&theirs), Err(RegistersBusy));
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_reported { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_reported);
@@ -138,7 +138,7 @@ fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
 }
 
 /// Returns a block of a control that says all it can, at this place.
-fn full_control_block(counter: u16, place: i32) -> holding::Registers {
+fn full_control_block(counter: u16, place: i32) -> holding_block::HoldingRegisters {
     let at = |axis| {
         let position = Position(100_000 * place);
         Some(AxisPosition { axis, position, direction: TravelDirection::Positive })
@@ -199,15 +199,18 @@ fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
 struct NodeBridge<'n>(&'n mut Node<'static>);
 
 impl RegisterStore for NodeBridge<'_> {
-    fn input_registers(&mut self) -> input::Registers {
+    fn input_registers(&mut self) -> input_block::InputRegisters {
         self.0.input_data().encode()
     }
 
-    fn holding_registers(&mut self) -> holding::Registers {
+    fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
         self.0.holding_registers()
     }
 
-    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(
+        &mut self,
+        block: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         self.0.receive_registers(block)
     }
 }
@@ -218,7 +221,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
     const READ_INPUT_REGISTERS_REQUEST: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
     let (mut node, mut counter) = engaged_node();
     let mut slave = Slave::new(1, FrameTiming::from_baud(115_200));
-    let (mut response, mut now_us) = (Response::new(), 0_u32);
+    let (mut response, mut now_us) = (ResponseBuffer::new(), 0_u32);
     let mut last = None;
     let mut changed = 0;
     for n in 0..100_000_u32 {
@@ -232,7 +235,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         for (word, pair) in words.iter_mut().zip(response[3..59].as_chunks::<2>().0) {
             *word = u16::from_be_bytes(*pair);
         }
-        let input_block = input::InputBlock::decode(&words).expect("a whole block");
+        let input_block = input_block::InputBlock::decode(&words).expect("a whole block");
         let round = |nanometres: trueup_core::units::Nanometres| {
             (nanometres.0.abs() + 5) / 10 * 10 * nanometres.0.signum()
         };

@@ -3,9 +3,9 @@
 
 use trueup_core::cnc::CncMessage;
 use trueup_modbus::{
-    holding::{self, BlockRejectReason, Checker, HoldingBlock},
-    input::InputBlock,
-    server::Busy,
+    holding_block::{self, BlockRejectReason, HoldingBlock, HoldingBlockChecker},
+    input_block::InputBlock,
+    server::RegistersBusy,
 };
 
 use super::{Interface, Node};
@@ -13,8 +13,8 @@ use super::{Interface, Node};
 /// State of the exchange in registers.
 #[derive(Debug, Default)]
 pub(super) struct RegisterExchange {
-    checker: Checker,
-    holding: holding::Registers,
+    checker: HoldingBlockChecker,
+    holding: holding_block::HoldingRegisters,
     last_refused: u16,
     refused: u16,
 }
@@ -33,7 +33,7 @@ impl Node<'_> {
             last_refused: self.registers.last_refused,
             refused: self.registers.refused,
             state: self.faults(&self.last).state_bits().0,
-            calibration: self.running_crc(),
+            calibration: self.running_calibration_crc(),
             elongation: self.state.elongation(),
             centi_c: [0, 1, 2, 3, 4, 5, 6, 7].map(|channel| self.temperature_centi_c(channel)),
         }
@@ -41,7 +41,7 @@ impl Node<'_> {
 
     /// Returns the holding block that was last used; zeros before.
     #[must_use]
-    pub const fn holding_registers(&self) -> holding::Registers {
+    pub const fn holding_registers(&self) -> holding_block::HoldingRegisters {
         self.registers.holding
     }
 
@@ -53,12 +53,12 @@ impl Node<'_> {
     /// A CNC on another line is the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn receive_block(&mut self, block: &HoldingBlock) -> Result<bool, Busy> {
+    pub fn receive_block(&mut self, block: &HoldingBlock) -> Result<bool, RegistersBusy> {
         if !self.master.accepts_interface(Interface::Modbus) {
             if block.has_valid_crc() {
-                self.master.record_other_interface();
+                self.master.record_frame_on_other_interface();
             }
-            return Err(Busy);
+            return Err(RegistersBusy);
         }
         match self.registers.checker.accept_block(block) {
             Ok(cnc_data) => {
@@ -95,7 +95,10 @@ impl Node<'_> {
     ///
     /// # Errors
     /// As [`Node::receive_block`].
-    pub fn receive_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
+    pub fn receive_registers(
+        &mut self,
+        registers: &holding_block::HoldingRegisters,
+    ) -> Result<(), RegistersBusy> {
         let block = HoldingBlock::from_registers(registers);
         if self.receive_block(&block)? {
             block.commands().for_each(|value| self.receive_command(value));

@@ -1,13 +1,13 @@
 //! The state that outlasts a reset, and time that samples do not count.
 
-use trueup_core::{dimensions::THERMAL_STEP_MS, units::TimestampMs};
-use trueup_store::retained::RetainedState;
+use trueup_core::{design_parameters::THERMAL_STEP_MS, units::TimestampMs};
+use trueup_store::retained_state::RetainedState;
 
 use super::Node;
 
 /// A millisecond that was lost is forgiven in this time: a converter that is restarted loses one, and
 /// they must not add up over a day.
-const LOSS_RECOVERY_MS: u32 = 1_000;
+const SAMPLE_LOSS_RECOVERY_MS: u32 = 1_000;
 
 impl Node<'_> {
     /// Returns what is to outlast a reset.
@@ -30,7 +30,7 @@ impl Node<'_> {
 
     /// This much time has passed by a clock that does not count samples. Gives for how long there were
     /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
-    pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
+    pub fn advance_clock(&mut self, elapsed_ms: u32) -> Option<u32> {
         self.clock = self.clock.wrapping_add_ms(elapsed_ms);
         let behind_ms = self.clock.duration_ms_since(self.now);
         if behind_ms.cast_signed() <= 0 {
@@ -38,7 +38,7 @@ impl Node<'_> {
             return None;
         }
         self.until_forgiven_ms = self.until_forgiven_ms.saturating_add(elapsed_ms);
-        if self.until_forgiven_ms >= LOSS_RECOVERY_MS {
+        if self.until_forgiven_ms >= SAMPLE_LOSS_RECOVERY_MS {
             self.until_forgiven_ms = 0;
             self.clock = TimestampMs(self.clock.0.wrapping_sub(1));
         }

@@ -5,7 +5,7 @@ use crate::node::sensor_only_calibration;
 use trueup_core::{
     calibration::{Calibration, ElongationSource, SpindleWarmupModel},
     cnc::SpindleState,
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     lag::SmoothingFactor,
     units::{AdcCode, Nanometres, Rpm},
     warmup::WarmupModel,
@@ -58,13 +58,13 @@ impl EngagedNode {
                 self.send_control(control);
             }
             self.node.tick(1, TickInput::default());
-            self.node.service();
+            self.node.next_service_frame();
         }
         *self.node.last_output()
     }
 }
 
-fn z_nm(output: &Output) -> i32 {
+fn z_offset_nm(output: &Output) -> i32 {
     output.offset.expect("available")[2].0
 }
 
@@ -73,7 +73,7 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
     let mut before = EngagedNode::with_calibration(warmup_calibration());
     before.send_control_for(60, Control::REFERENCED);
     before.send_control_for(20_000, Control::ENGAGED);
-    let grown = z_nm(before.node.last_output());
+    let grown = z_offset_nm(before.node.last_output());
     assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
     let retained = before.node.retained_state();
 
@@ -87,7 +87,8 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
     after.send_control_for(60, Control::REFERENCED);
     after.send_control_for(8_000, Control::ENGAGED);
     before.send_control_for(8_120, Control::ENGAGED);
-    let (without, with) = (z_nm(before.node.last_output()), z_nm(after.node.last_output()));
+    let (without, with) =
+        (z_offset_nm(before.node.last_output()), z_offset_nm(after.node.last_output()));
     assert!((without - with).abs() < 1_000, "{without} without the reset, {with} with it");
 }
 
@@ -96,7 +97,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
     let mut before = EngagedNode::with_calibration(warmup_calibration());
     before.send_control_for(60, Control::REFERENCED);
     before.send_control_for(20_000, Control::ENGAGED);
-    let grown = z_nm(before.node.last_output());
+    let grown = z_offset_nm(before.node.last_output());
     let retained = before.node.retained_state();
     let mut after = EngagedNode::with_calibration(warmup_calibration());
     after.node.resume(Some(&retained), 20);
@@ -115,7 +116,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
                 life.counter = life.counter.wrapping_add(1);
             }
             life.node.tick(1, TickInput::default());
-            life.node.service();
+            life.node.next_service_frame();
         }
         *life.node.last_output()
     };
@@ -125,7 +126,10 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
         (OffsetQuality::Live, 0)
     );
     let expected = f64::from(grown) * (-28.0_f64 / 20.0).exp();
-    assert!((f64::from(z_nm(&output)) - expected).abs() < 200.0, "{output:?} for {expected}");
+    assert!(
+        (f64::from(z_offset_nm(&output)) - expected).abs() < 200.0,
+        "{output:?} for {expected}"
+    );
 }
 
 #[test]
@@ -171,14 +175,14 @@ fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
         for _ in 0..10 {
             node.tick(1, block);
         }
-        assert_eq!(node.catch_up(10), None, "as many as there should be");
+        assert_eq!(node.advance_clock(10), None, "as many as there should be");
     }
     assert_eq!(node.last_output().quality, OffsetQuality::Live);
     let before = node.now();
     let mut missing_after_ms = None;
     for ms in (0..3_000).step_by(10) {
         node.tick(1, block);
-        if let Some(behind_ms) = node.catch_up(10) {
+        if let Some(behind_ms) = node.advance_clock(10) {
             node.tick(behind_ms, TickInput::default());
         }
         let is_missing = node.last_output().flags.contains(OffsetFlags::SAMPLES_MISSING);
@@ -200,7 +204,7 @@ fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
         for _ in 0..count {
             node.tick(1, TickInput::default());
         }
-        assert_eq!(node.catch_up(10), None, "at turn {turn}");
+        assert_eq!(node.advance_clock(10), None, "at turn {turn}");
     }
 }
 
@@ -211,6 +215,6 @@ fn a_turn_without_any_block_is_reported_with_its_length_and_one_with_a_block_is_
         for _ in 0..blocks {
             node.tick(1, TickInput::default());
         }
-        assert_eq!(node.catch_up(10), missing_ms, "{blocks} blocks in 10 ms");
+        assert_eq!(node.advance_clock(10), missing_ms, "{blocks} blocks in 10 ms");
     }
 }

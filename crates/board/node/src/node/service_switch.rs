@@ -57,7 +57,7 @@ impl Node<'_> {
     pub(super) fn check_change_allowed(&self) -> Result<(), AbortCode> {
         match self.write_authority() {
             WriteAuthority::SwitchOpen => Err(AbortCode::LocalControl),
-            WriteAuthority::Service if self.is_at_rest() => Ok(()),
+            WriteAuthority::Service if self.is_offset_inactive() => Ok(()),
             _ => Err(AbortCode::DeviceState),
         }
     }
@@ -73,7 +73,7 @@ mod tests {
     };
     use trueup_core::cnc::Control;
     use trueup_link::{frame::Frame, frames, layout::NMT_ID};
-    use trueup_store::load::LoadSlot;
+    use trueup_store::calibration_load::LoadSlot;
 
     /// Returns a node at rest whose CNC says `Service`.
     fn node_in_service<'a>(requires_confirmation: bool) -> Node<'a> {

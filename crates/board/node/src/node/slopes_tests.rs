@@ -5,11 +5,11 @@ use std::{vec, vec::Vec};
 use trueup_core::{
     calibration::AxisThermalModel,
     cnc::{AxisPosition, LinearAxis, TravelDirection},
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     lag::SmoothingFactor,
     temperature_channels::RawTemperatures,
-    thermal::{LAW_SEGMENT_SIZE, LawSegment, ThermalExpansionLaw},
-    thermometer::{RawReading, Thermometer},
+    thermal::{THERMAL_LAW_SEGMENT_SIZE, ThermalExpansionLaw, ThermalLawSegment},
+    thermometer::{RawTemperatureReading, Thermometer},
     units::{Nanometres, Position, Temperature},
 };
 use trueup_link::{
@@ -19,26 +19,26 @@ use trueup_link::{
 };
 
 /// tanβ = (T − 23 °C)·14.21 µm/m, and K₀ = (T − 23 °C)·2 µm.
-fn encode_law_segment() -> [u8; LAW_SEGMENT_SIZE] {
-    LawSegment {
+fn encode_law_segment() -> [u8; THERMAL_LAW_SEGMENT_SIZE] {
+    ThermalLawSegment {
         start: Temperature(23 * Temperature::PER_KELVIN),
         // 2 µm = 2000 nm · 256, times 1.024 K, times 16.
         constant_slope: 8_388_608,
         // 1.421e-4 nm per 10 nm, times 2³⁶ · 1.024 · 16.
         gradient_slope: 159_990_376,
-        ..LawSegment::default()
+        ..ThermalLawSegment::default()
     }
     .to_bytes()
 }
 
-struct Rig<'a> {
+struct SlopeTestRig<'a> {
     node: Node<'a>,
     counters: [u8; 2],
     offsets: OffsetReceiver,
     last: [Nanometres; 3],
 }
 
-impl Rig<'_> {
+impl SlopeTestRig<'_> {
     /// This many milliseconds; the status items with their times.
     fn run_for_ms(
         &mut self,
@@ -48,9 +48,9 @@ impl Rig<'_> {
         engage: bool,
     ) -> Vec<(u32, StatusItem)> {
         let mut items = vec![];
-        let mut raw: RawTemperatures = [RawReading::NONE; CHANNEL_COUNT];
+        let mut raw: RawTemperatures = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         // A count a tenth of a kelvin.
-        raw[3] = RawReading(kelvin_tenths * 256);
+        raw[3] = RawTemperatureReading(kelvin_tenths * 256);
         for _ in 0..ms {
             let now = self.node.now().0;
             if now.is_multiple_of(CONTROL_PERIOD_MS) {
@@ -69,7 +69,8 @@ impl Rig<'_> {
                     self.last = output.offset.unwrap_or_default();
                 }
             }
-            let sent_frames = self.node.service().filter(|frame| frame.id() == STATUS_ID);
+            let sent_frames =
+                self.node.next_service_frame().filter(|frame| frame.id() == STATUS_ID);
             items.extend(
                 sent_frames.map(|frame| (self.node.now().0, decode(&frame).expect("ours").item)),
             );
@@ -108,8 +109,12 @@ fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
         law: ThermalExpansionLaw { pieces: &pieces },
     });
     let node = Node::new(calibration.into());
-    let mut rig =
-        Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
+    let mut rig = SlopeTestRig {
+        node,
+        counters: [0; 2],
+        offsets: OffsetReceiver::new(),
+        last: Default::default(),
+    };
     rig.run_for_ms(200, 249, 2_500, false);
     // 1.9 K: 27.0 µm/m too far, and 3.8 µm. At 2.5 m, 2 m from the origin: −57.8 µm.
     let items = rig.run_for_ms(3_500, 249, 2_500, true);
@@ -153,8 +158,12 @@ fn a_slope_goes_on_its_way_no_faster_than_the_slew_limit_at_its_place() {
         law: ThermalExpansionLaw { pieces: &pieces },
     });
     let node = Node::new(calibration.into());
-    let mut rig =
-        Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
+    let mut rig = SlopeTestRig {
+        node,
+        counters: [0; 2],
+        offsets: OffsetReceiver::new(),
+        last: Default::default(),
+    };
     rig.run_for_ms(200, 249, 4_000, false);
     let items = rig.run_for_ms(9_000, 249, 4_000, true);
     let slopes: Vec<i16> = items

@@ -11,7 +11,7 @@ use trueup_canopen::{
 };
 use trueup_core::{
     bridge::ReferenceErrors,
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     units::{AdcCode, FineNanometres, Nanometres},
 };
 use trueup_link::status::StateBits;
@@ -36,7 +36,7 @@ impl TestCnc {
             self.counter = self.counter.wrapping_add(1);
             for _ in 0..20 {
                 node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
-                node.service();
+                node.next_service_frame();
             }
         }
     }
@@ -54,7 +54,7 @@ const SERVICE_CONTROL: Control = Control { service: true, ..Control::REFERENCED 
 fn run_without_control_for(node: &mut Node<'_>, ms: u32) {
     for _ in 0..ms {
         node.tick(1, TickInput::default());
-        node.service();
+        node.next_service_frame();
     }
 }
 
@@ -76,7 +76,7 @@ fn board(max_um: [i32; 3]) -> Node<'static> {
     let mut blob = vec![0; MAX_BLOB_SIZE];
     let length = encode(&calibration, &mut blob).expect("small").len();
     blob.truncate(length);
-    Node::new(Configuration {
+    Node::new(NodeConfiguration {
         blob: Box::leak(blob.into()),
         buffer: Some(Box::leak(vec![0; MAX_BLOB_SIZE].into())),
         ..calibration.into()
@@ -254,7 +254,7 @@ fn a_first_calibration_needs_no_confirmation() {
     TestCnc { counter: 0 }.send_control(&mut node, tool, 10);
     assert!(!load_other_calibration(&mut node).is_unattended);
     let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
-    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
+    let mut node = Node::new(NodeConfiguration { buffer, ..NodeConfiguration::default() });
     TestCnc { counter: 0 }.send_control(&mut node, tool, 10);
     assert!(!load_other_calibration(&mut node).is_unattended);
 }

@@ -2,7 +2,7 @@
 
 use super::Node;
 use trueup_canopen::emergency::Fault;
-use trueup_core::{supply::InternalReferenceLevel, units::AdcCode};
+use trueup_core::{supply_monitor::InternalReferenceLevel, units::AdcCode};
 
 impl Node<'_> {
     /// Takes a code of the converter's internal reference, one in 10 ms: readings count as if the supply were
@@ -16,12 +16,12 @@ impl Node<'_> {
 
     /// Returns the level of the supply that readings, and with them the reference, count from; 0: not known yet.
     #[must_use]
-    pub fn supply_basis(&self) -> InternalReferenceLevel {
+    pub fn supply_baseline_level(&self) -> InternalReferenceLevel {
         self.supply.baseline_level()
     }
 
     /// Takes up a level that was stored with the reference.
-    pub fn set_supply_basis(&mut self, basis: InternalReferenceLevel) {
+    pub fn set_supply_baseline(&mut self, basis: InternalReferenceLevel) {
         self.supply.set_baseline_level(basis);
     }
 }

@@ -1,17 +1,15 @@
 //! Tests of a node as a CANopen master sees it: its heartbeat, emergencies, objects, and a calibration.
 
 use super::*;
-use crate::node::firmware::SlotStates;
+use crate::node::firmware_update::SlotStates;
 use crate::reset_info::{CrashInfo, ResetInfo};
 use std::{boxed::Box, vec, vec::Vec};
 use trueup_canopen::dictionary::{AccessType, CLEAR_REFERENCE_SIGNATURE, DataType, OBJECTS};
 use trueup_canopen::sdo::AbortCode;
 use trueup_core::{bridge::ReferenceErrors, cnc::Control, units::Nanometres};
 use trueup_link::{layout::*, status::ResetReason};
-use trueup_store::{
-    calibration::{MAX_BLOB_SIZE, calibration_crc, encode},
-    reference::ReferenceStatus,
-};
+use trueup_store::calibration::{MAX_BLOB_SIZE, calibration_crc, encode};
+use trueup_store::reference::ReferenceStatus;
 
 fn blob() -> Vec<u8> {
     encode(&super::sensor_only_calibration(), &mut [0; MAX_BLOB_SIZE]).expect("small").to_vec()
@@ -29,7 +27,7 @@ fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
         if node.now().0.is_multiple_of(100) && SERVICE.get().is_some() {
             service(node);
         }
-        node.service()
+        node.next_service_frame()
     });
     text.collect()
 }
@@ -111,9 +109,9 @@ fn read_domain(node: &mut Node<'_>, index: u16, subindex: u8) -> Vec<u8> {
 
 /// Returns a node with all that a board gives it.
 fn whole<'a>(blob: &'a [u8], buffer: &'a mut [u8]) -> Node<'a> {
-    let mut node =
-        Node::new(Configuration { blob, buffer: Some(buffer), ..sensor_only_calibration().into() });
-    node.set_slots(SlotStates::default());
+    let calibrated: NodeConfiguration = sensor_only_calibration().into();
+    let mut node = Node::new(NodeConfiguration { blob, buffer: Some(buffer), ..calibrated });
+    node.set_slot_states(SlotStates::default());
     node
 }
 
@@ -175,16 +173,16 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
     for (bytes, fate, answer) in [
         (other.clone(), LoadOutcome::Stored, [0x20, 0x30].to_vec()),
         (other.clone(), LoadOutcome::NotStored, [0x80].to_vec()),
-        (vec![7; 700], LoadOutcome::Refused, [0x80].to_vec()),
+        (vec![7; 700], LoadOutcome::Rejected, [0x80].to_vec()),
     ] {
         if let Some(load) = node.take_received_calibration() {
-            node.finish_load(load, LoadOutcome::Refused);
+            node.finish_load(load, LoadOutcome::Rejected);
         }
         let started = node.now();
         send_calibration(&mut node, &bytes);
         assert!(pass(&mut node, 20).iter().all(|frame| frame.id() != SDO_RESPONSE_ID));
         let mut load = node.take_received_calibration().expect("it has come whole");
-        assert_eq!(load.validate_blob().is_ok(), fate != LoadOutcome::Refused);
+        assert_eq!(load.validate_blob().is_ok(), fate != LoadOutcome::Rejected);
         assert!(node.take_received_calibration().is_none());
         node.finish_load(load, fate);
         let frames = pass(&mut node, 5);
@@ -286,7 +284,7 @@ fn the_heartbeat_of_a_node_that_was_received_is_missed() {
 
 #[test]
 fn the_faults_of_the_bridge_and_the_board_are_reported_and_remembered() {
-    let mut node = Node::new(Configuration { is_degraded: true, ..Configuration::default() });
+    let mut node = Node::new(NodeConfiguration { is_degraded: true, ..Default::default() });
     node.set_fault(Fault::Crystal);
     node.set_fault(Fault::WatchdogReset);
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101, 0x6102]);
@@ -299,7 +297,7 @@ fn the_faults_of_the_bridge_and_the_board_are_reported_and_remembered() {
     // The converter stops, the CNC comes and goes.
     SERVICE.set(None);
     let mut node =
-        Node::new(Configuration { is_degraded: true, ..sensor_only_calibration().into() });
+        Node::new(NodeConfiguration { is_degraded: true, ..sensor_only_calibration().into() });
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000, 0x6102]);
     let control = Control::REFERENCED;
     node.receive(Interface::Can, &frames::encode_control(control, 0)).expect("the first");
@@ -371,7 +369,9 @@ fn stop_and_start_change_no_frame() {
             if let Some(data) = commands.get(ms / 100).filter(|_| ms % 100 == 50) {
                 command(&mut node, data);
             }
-            node.tick(1, TickInput::default()).into_iter().chain(node.service()).collect::<Vec<_>>()
+            let mut frames: Vec<_> = node.tick(1, TickInput::default()).into_iter().collect();
+            frames.extend(node.next_service_frame());
+            frames
         });
         sent.collect()
     };
@@ -420,7 +420,7 @@ fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
     use trueup_link::status::{FrameRejectReason, StatusItem, decode};
     let start = ResetInfo { reason: ResetReason::Watchdog, ..ResetInfo::default() };
-    let mut node = Node::new(Configuration { start, ..sensor_only_calibration().into() });
+    let mut node = Node::new(NodeConfiguration { start, ..sensor_only_calibration().into() });
     node.set_free_stack(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
         let reported = pass(node, ms);
@@ -482,7 +482,7 @@ fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
 
 #[test]
 fn a_fault_of_a_single_tick_is_reported_whenever_it_comes() {
-    use trueup_core::{dimensions::CODES_PER_TICK, units::AdcCode, units::Rpm};
+    use trueup_core::{design_parameters::CODES_PER_TICK, units::AdcCode, units::Rpm};
     let alive: [AdcCode; CODES_PER_TICK] =
         core::array::from_fn(|n| AdcCode(700 + u16::from(n == 1)));
     for phase in 0..4 {
@@ -493,7 +493,7 @@ fn a_fault_of_a_single_tick_is_reported_whenever_it_comes() {
             node.tick(1, TickInput { codes: Some(&alive), speed, temperatures: None });
             let flags = node.last_output().flags;
             assert_eq!(flags.contains(OffsetFlags::SPEED_UNKNOWN), speed.is_none());
-            messages.extend(node.service());
+            messages.extend(node.next_service_frame());
         }
         assert_eq!(codes_of(&messages), [0x6102, 0x9001, 0], "at {phase}");
     }

@@ -5,7 +5,7 @@ use std::{vec, vec::Vec};
 use trueup_core::{
     bridge::ReferenceErrors,
     cnc::Control,
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     units::{AdcCode, Nanometres},
 };
 use trueup_link::{
@@ -36,7 +36,7 @@ fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
         let mut beats = Vec::new();
         while node.now().0 < 1_000 {
             node.tick(tick_ms, NO_INPUT);
-            let frames = node.service();
+            let frames = node.next_service_frame();
             beats.extend(frames.is_some_and(|f| f.id() == HEARTBEAT_ID).then(|| node.now().0));
         }
         assert_eq!(beats.len(), 10, "{beats:?}");
@@ -46,7 +46,7 @@ fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
 
 #[test]
 fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
-    let mut node = Node::new(Configuration::default());
+    let mut node = Node::new(NodeConfiguration::default());
     let codes = [AdcCode(700); CODES_PER_TICK];
     let sent = node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
     let mut receiver = OffsetReceiver::new();
@@ -55,7 +55,7 @@ fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
     assert_eq!((output.offset, output.quality, output.age_ms), (None, OffsetQuality::Fault, 255));
     let sent_frames = (0..110).filter_map(|_| {
         node.tick(1, NO_INPUT);
-        node.service()
+        node.next_service_frame()
     });
     let beats = sent_frames.filter_map(|frame| frames::decode_heartbeat(&frame).ok());
     assert_eq!(beats.collect::<Vec<_>>(), [NmtState::BootUp, NmtState::Stopped]);
@@ -64,7 +64,8 @@ fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
 #[test]
 fn a_board_on_a_fall_back_marks_every_frame() {
     for is_degraded in [false, true] {
-        let mut node = Node::new(Configuration { is_degraded, ..sensor_only_calibration().into() });
+        let mut node =
+            Node::new(NodeConfiguration { is_degraded, ..sensor_only_calibration().into() });
         node.tick(1, NO_INPUT);
         assert_eq!(node.last_output().flags.contains(OffsetFlags::BOARD_DEGRADED), is_degraded);
     }
@@ -142,7 +143,7 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
 }
 
 /// Gives a board such a history of `Control`, each 20 ms after the one before.
-fn after(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut Node<'_>) {
+fn apply_controls(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut Node<'_>) {
     let mut counters = [3_u8; 2];
     for (line, control) in controls {
         let counter = &mut counters[usize::from(line == Interface::Serial)];
@@ -150,7 +151,7 @@ fn after(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut No
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
             node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
-            node.service();
+            node.next_service_frame();
         }
     }
 }
@@ -172,7 +173,7 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
         (vec![on, off, off, off, on], true),
     ] {
         let mut node = Node::new(sensor_only_calibration().into());
-        after(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
+        apply_controls(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
         assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
         let quality = if is_available { OffsetQuality::Live } else { OffsetQuality::Fault };
@@ -188,7 +189,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
     node.require_confirmation(Fault::ForeignMachine);
     let confirm = Control { confirm: true, ..Control::ENGAGED };
     let plain = Control::ENGAGED;
-    after([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
+    apply_controls([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -202,7 +203,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
         let received = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
         node.receiver = CncReceiver::new();
-        after(received.map(|frame| (Interface::Can, frame)), &mut node);
+        apply_controls(received.map(|frame| (Interface::Can, frame)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!(
             (node.take_confirmed_fault(), node.take_confirmed_fault()),
@@ -218,7 +219,7 @@ fn example_constants_are_never_live() {
     node.set_fault(Fault::ExampleConstants);
     node.update_inhibition();
     let confirm = |n: u32| Control { confirm: n % 10 < 5, ..Control::ENGAGED };
-    after((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
+    apply_controls((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -230,7 +231,7 @@ fn example_constants_are_never_live() {
 fn a_damaged_board_is_never_live_and_reports_it() {
     let mut node = started_node();
     node.set_self_test_failed();
-    after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    apply_controls((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -244,11 +245,11 @@ fn a_master_on_another_line_is_reported_and_has_no_effect() {
     let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
     let both =
         (0..100).flat_map(|n| [(Interface::Can, Control::ENGAGED), (Interface::Serial, zero(n))]);
-    after(both, &mut node);
+    apply_controls(both, &mut node);
     assert_eq!(node.last_output().quality, OffsetQuality::Live);
     assert_eq!(node.take_zero_outcome(), None);
     assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER));
-    after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    apply_controls((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
 }
 
@@ -264,7 +265,7 @@ fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
         assert_eq!(node.receive(Interface::Serial, &noise), Ok(None));
         for _ in 0..20 {
             node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
-            node.service();
+            node.next_service_frame();
         }
         assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
     }
@@ -288,7 +289,7 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
                             ..TickInput::default()
                         },
                     );
-                    node.service();
+                    node.next_service_frame();
                 }
             }
         }
@@ -301,9 +302,9 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
 #[test]
 fn a_cnc_that_restarts_is_no_second_master() {
     let mut node = started_node();
-    after((0..50).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    apply_controls((0..50).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     for _ in 0..2 {
-        after((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+        apply_controls((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
         assert_eq!(state(&node).0, 0);
         assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
@@ -313,7 +314,7 @@ fn a_cnc_that_restarts_is_no_second_master() {
 fn a_zero_that_is_refused_is_reported() {
     for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
         let mut node = started_node();
-        after([(Interface::Can, control); 20], &mut node);
+        apply_controls([(Interface::Can, control); 20], &mut node);
         node.receiver = CncReceiver::new();
         for counter in 0..3 {
             let zero = Control { zero: true, ..control };
@@ -322,7 +323,7 @@ fn a_zero_that_is_refused_is_reported() {
         assert_eq!(node.take_zero_outcome(), Some(ZeroOutcome::Unchanged));
         let sent_frames = (0..100).filter_map(|_| {
             node.tick(1, TickInput { codes: Some(&live_codes(700)), ..TickInput::default() });
-            node.service()
+            node.next_service_frame()
         });
         let codes: Vec<_> = sent_frames
             .filter(|frame| frame.id() == trueup_link::layout::EMERGENCY_ID)
@@ -351,7 +352,7 @@ fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and
                 node.receive_supply_code(code(1_500));
             }
             node.tick(1, TickInput { codes: Some(&codes), ..TickInput::default() });
-            node.service();
+            node.next_service_frame();
         }
         (node.state.elongation(), node.board_faults.contains(Fault::SupplyOff))
     };

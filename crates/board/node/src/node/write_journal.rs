@@ -105,7 +105,7 @@ impl Node<'_> {
     /// A calibration is stored for the next start. If it replaces one other than the example's while no CNC is
     /// received, the operator must confirm then.
     pub(super) fn log_calibration_load(&mut self, crc: u32) {
-        let running = self.running_crc();
+        let running = self.running_calibration_crc();
         let replaces = running != 0 && running != crc && !self.has_example_constants();
         let write = self.new_write_record(WriteKind::Loaded, crc, self.log.loader);
         self.push_write(WriteRecord { is_unattended: replaces && self.log.is_unattended, ..write });
@@ -129,13 +129,14 @@ impl Node<'_> {
             Some(Interface::Serial) => WriteOrigin::Serial,
             Some(Interface::Modbus) => WriteOrigin::Modbus,
         };
-        let (calibration, at_ms, utc_s) = (self.running_crc(), self.now.0, self.utc_s());
+        let (calibration, at_ms, utc_s) =
+            (self.running_calibration_crc(), self.now.0, self.utc_s());
         let (sequence, is_unattended) = (0, false);
         WriteRecord { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended }
     }
 
     /// Returns the calibration that runs, by the CRC of its blob; 0: none.
-    pub(super) fn running_crc(&self) -> u32 {
+    pub(super) fn running_calibration_crc(&self) -> u32 {
         if self.blob.is_empty() { 0 } else { calibration::calibration_crc(self.blob) }
     }
 

@@ -42,7 +42,7 @@ fn send_controls(node: &mut Node<'_>, control: Control, count: usize, counter: &
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
             node.tick(1, TickInput::default());
-            node.service();
+            node.next_service_frame();
         }
     }
 }
@@ -117,7 +117,7 @@ fn store(node: &mut Node<'_>, first: u32) -> Vec<WriteRecord> {
     stored
 }
 
-fn drain_writes(node: &Node<'_>) -> Vec<WriteRecord> {
+fn read_writes(node: &Node<'_>) -> Vec<WriteRecord> {
     let Ok(ObjectValue::Bytes(bytes)) =
         node.read(trueup_canopen::dictionary::EntryContent::WriteLog)
     else {
@@ -134,7 +134,7 @@ fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_
     let mut buffer = vec![0; MAX_BLOB_SIZE];
     let buffer = Some(&mut buffer[..]);
     let mut node =
-        Node::new(Configuration { blob: &blob, buffer, ..sensor_only_calibration().into() });
+        Node::new(NodeConfiguration { blob: &blob, buffer, ..sensor_only_calibration().into() });
     let mut counter = 0;
     let service = Control { service: true, ..Control::REFERENCED };
     send_controls(&mut node, service, 5, &mut counter);
@@ -159,7 +159,7 @@ fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_
         node.write(O::Forget, CLEAR_REFERENCE_SIGNATURE).expect("allowed");
     }
     let stored = store(&mut node, 5);
-    assert_eq!(drain_writes(&node), stored);
+    assert_eq!(read_writes(&node), stored);
     let crc = calibration_crc(&blob);
     let seen: Vec<_> = stored
         .iter()
@@ -295,14 +295,14 @@ fn a_write_that_is_not_stored_is_reported_and_so_is_the_store() {
     node.check_identity(None, CHIP_ID);
     let write = node.take_pending_write().expect("named");
     node.finish_write(&write, None);
-    assert_eq!(drain_writes(&node), [write]);
+    assert_eq!(read_writes(&node), [write]);
     assert!(node.faults(node.last_output()).contains(Fault::Store));
     // A board that takes none of them loses none either.
     for about in 0..10 {
         node.log_write(WriteKind::Zeroed, about, Some(Interface::Can));
     }
     let waiting = core::iter::from_fn(|| node.take_pending_write()).count();
-    assert_eq!(waiting + drain_writes(&node).len(), 11);
+    assert_eq!(waiting + read_writes(&node).len(), 11);
 }
 
 #[test]
@@ -322,5 +322,5 @@ fn writes_from_before_the_start_are_reported_before_those_since() {
     [1, 2].map(write).iter().for_each(|write| stored.push(write));
     node.log = WriteJournal::from_stored(stored);
     node.finish_write(&write(0), Some(write(3)));
-    assert_eq!(drain_writes(&node), [1, 2, 3].map(write));
+    assert_eq!(read_writes(&node), [1, 2, 3].map(write));
 }

@@ -97,7 +97,7 @@ fn engage_is_let_go_in_its_fault_alone_and_zero_is_asked_for_200_ms_at_the_begin
             let control = run.sent.iter().find_map(|frame| frames::decode_control(frame).ok());
             let Some(control) = control else { continue };
             let lets_go =
-                faults && InjectedFault::from_vector_index(number) == InjectedFault::LetsGo;
+                faults && InjectedFault::from_vector_index(number) == InjectedFault::Disengaged;
             let zero = faults && number % PHASE_MS < 200;
             // What is damaged is elsewhere in the frame.
             let flags = (control.engage, control.zero, control.referenced);
@@ -162,7 +162,7 @@ fn thermometers_warm_by_a_tenth_of_a_kelvin_at_most_within_their_range() {
         run.draw_vector();
         let is_missing = InjectedFault::from_vector_index(number) == InjectedFault::NoTemperatures;
         if is_missing {
-            assert_eq!(run.temperatures, [RawReading::NONE; CHANNEL_COUNT]);
+            assert_eq!(run.temperatures, [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT]);
             before = None;
             continue;
         }

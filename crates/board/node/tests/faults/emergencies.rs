@@ -8,10 +8,12 @@ use trueup_canopen::{
     emergency::{Fault, Faults},
     sdo::{ObjectAccess as _, ObjectValue},
 };
-use trueup_core::{cnc::Control, dimensions::CHANNEL_COUNT, learned::ChangeRequest};
+use trueup_core::{
+    cnc::Control, design_parameters::TEMPERATURE_CHANNEL_COUNT, learned::LearnedChangeRequest,
+};
 use trueup_link::{frame::Frame, frames};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 
@@ -43,7 +45,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
     let since = rig.ms + 1;
     let mut breaks = |part, kind| rig.fault = Some((part, kind, since));
     match fault {
-        Fault::NoCalibration => rig.node = Node::new(Configuration::default()),
+        Fault::NoCalibration => rig.node = Node::new(NodeConfiguration::default()),
         Fault::Restarted => rig.node = Node::new(calibration().into()),
         Fault::Sensor => breaks(Part::Sensor, Kind::Short),
         Fault::SamplesMissing => breaks(Part::Blocks, Kind::Off),
@@ -66,7 +68,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         | Fault::CalibrationChanged => rig.node.require_confirmation(fault),
         Fault::ExampleConstants => {
             let faults = Faults::default().with_fault_if(true, fault);
-            rig.node = Node::new(Configuration { faults, ..calibration().into() });
+            rig.node = Node::new(NodeConfiguration { faults, ..calibration().into() });
         }
         Fault::SecondMaster => {
             controls(rig, Interface::Serial, Control::REFERENCED, 0, 1);
@@ -92,7 +94,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         }
         Fault::LearnedRefused => {
             // Of no cap, and of another calibration.
-            let learned = ChangeRequest { part: 1, amount: 1, calibration: 0 };
+            let learned = LearnedChangeRequest { part: 1, amount: 1, calibration: 0 };
             breaks(Part::Control, Kind::Off);
             rig.run(6_000);
             controls(rig, Interface::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
@@ -106,10 +108,10 @@ fn provoke(fault: Fault, rig: &mut Rig) {
 
 /// Returns a rig with the spindle's thermometer on this channel, and the axis's on the next.
 fn engaged_on(channel: usize) -> Rig {
-    let channels = [channel, (channel + 1) % CHANNEL_COUNT];
+    let channels = [channel, (channel + 1) % TEMPERATURE_CHANNEL_COUNT];
     let mut wired = calibration();
     let [spindle, axis] = channels.map(|channel| channel as u8);
-    wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNEL_COUNT];
+    wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; TEMPERATURE_CHANNEL_COUNT];
     wired.spindle.temperature.as_mut().expect("its model").channel = spindle;
     wired.axes[0].thermal.as_mut().expect("its law").channel = axis;
     let mut rig = Rig::new(7);

@@ -8,14 +8,14 @@ use trueup_core::{
     bridge::TickInput,
     calibration::{AxisModel, AxisThermalModel, Calibration, MachineIdentity},
     cnc::{AxisPosition, Control, LinearAxis, Output, SpindleState, TravelDirection},
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
     kinematics::Kinematics,
     lag::SmoothingFactor,
-    limits::Limits,
+    limits::CompensationLimits,
     pitch_table::PitchErrorTable,
-    thermometer::{RawReading, Thermometer},
+    reversal::Interval,
+    thermometer::{RawTemperatureReading, Thermometer},
     tool_direction::ToolDirection,
-    travel::Interval,
     units::{AdcCode, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, layout::EMERGENCY_ID};
@@ -54,7 +54,7 @@ fn table() -> PitchErrorTable<'static> {
 
 pub fn calibration() -> Calibration<'static> {
     let linear = Thermometer::Linear { zero: 0, slope: 1_000, shift: 0 };
-    let mut thermometers = [None; CHANNEL_COUNT];
+    let mut thermometers = [None; TEMPERATURE_CHANNEL_COUNT];
     thermometers[SPINDLE_CHANNEL] = Some(linear);
     thermometers[AXIS_CHANNEL] = Some(linear);
     let none = SmoothingFactor::NO_LAG;
@@ -88,7 +88,7 @@ pub fn calibration() -> Calibration<'static> {
         squareness: Default::default(),
         volume: None,
         terms: Default::default(),
-        limits: Limits {
+        limits: CompensationLimits {
             max: [200_000, 200_000, 500_000].map(Nanometres),
             slew_nm_per_s: 20_000,
             link_timeout_ms: 500,
@@ -325,21 +325,23 @@ impl Rig {
         arrives.then_some(codes)
     }
 
-    fn raw(&mut self, part: Part, kelvin: f64) -> RawReading {
+    fn raw(&mut self, part: Part, kelvin: f64) -> RawTemperatureReading {
         let fault = self.fault_of(part);
         let number = match part {
             Part::SpindleThermometer => &mut self.spindle_k,
             _ => &mut self.axis_k,
         };
         number.live(kelvin, fault.is_some());
-        let Some((kind, lasts)) = fault else { return RawReading((kelvin * RAW_PER_K) as i32) };
+        let Some((kind, lasts)) = fault else {
+            return RawTemperatureReading((kelvin * RAW_PER_K) as i32);
+        };
         let bent = kind.bend(kelvin, number, 5.0, lasts);
         let drawn = self.uniform() * 200.0 - 50.0;
         match kind {
-            Kind::Off | Kind::Open | Kind::Short => RawReading::NONE,
-            Kind::Intermittent if lasts % 1_000 < 300 => RawReading::NONE,
-            Kind::Garbage => RawReading((drawn * RAW_PER_K) as i32),
-            _ => RawReading((bent * RAW_PER_K) as i32),
+            Kind::Off | Kind::Open | Kind::Short => RawTemperatureReading::NONE,
+            Kind::Intermittent if lasts % 1_000 < 300 => RawTemperatureReading::NONE,
+            Kind::Garbage => RawTemperatureReading((drawn * RAW_PER_K) as i32),
+            _ => RawTemperatureReading((bent * RAW_PER_K) as i32),
         }
     }
 
@@ -429,7 +431,7 @@ impl Rig {
         // A kelvin a minute, for half an hour up and then down: what rose for eight hours was no thermometer.
         let minutes = f64::from(self.ms) / 60_000.0 % 60.0;
         let axis_c = 22.0 + minutes.min(60.0 - minutes);
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         let [spindle, axis] = self.channels;
         raw[spindle] = self.raw(Part::SpindleThermometer, spindle_c);
         raw[axis] = self.raw(Part::AxisThermometer, axis_c);
@@ -442,7 +444,7 @@ impl Rig {
             self.tick(1, input);
         }
         if self.ms.is_multiple_of(10)
-            && let Some(behind_ms) = self.node.catch_up(10)
+            && let Some(behind_ms) = self.node.advance_clock(10)
         {
             self.tick(behind_ms, TickInput { temperatures: Some(&raw), ..TickInput::default() });
         }
@@ -451,7 +453,7 @@ impl Rig {
     fn tick(&mut self, elapsed_ms: u32, input: TickInput<'_>) {
         self.node.tick(elapsed_ms, input);
         self.last = *self.node.last_output();
-        let frames = self.node.service();
+        let frames = self.node.next_service_frame();
         if let Some(frame) = frames.filter(|frame| frame.id() == EMERGENCY_ID)
             && let Ok(emergency) = decode(&frame)
             && emergency.code != 0

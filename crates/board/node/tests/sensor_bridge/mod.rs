@@ -2,7 +2,7 @@
 
 use trueup_core::{
     calibration::{Calibration, MachineIdentity},
-    limits::Limits,
+    limits::CompensationLimits,
     thermometer::Thermometer,
     units::Nanometres,
 };
@@ -17,7 +17,7 @@ pub fn calibration() -> Calibration<'static> {
     let example = example::sensor_only_calibration();
     Calibration {
         // What its codes say may be zeroed.
-        limits: Limits { max: [Nanometres(4_000_000); 3], ..example.limits },
+        limits: CompensationLimits { max: [Nanometres(4_000_000); 3], ..example.limits },
         thermometers,
         guards: Default::default(),
         names: MachineIdentity { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },

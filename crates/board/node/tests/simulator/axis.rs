@@ -5,7 +5,7 @@
 use trueup_core::{
     cnc::{AxisPosition, LinearAxis, TravelDirection},
     pitch_table::PitchErrorTable,
-    travel::Interval,
+    reversal::Interval,
     units::Position,
 };
 use trueup_link::{frame::Frame, frames};

@@ -11,14 +11,14 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, OffsetQuality, RotaryAxisAngles, SpindleState,
         TravelDirection,
     },
-    dimensions::CODES_PER_TICK,
-    learned::{ChangeRequest, LearnedLimits, calibration_id},
-    thermometer::RawReading,
+    design_parameters::CODES_PER_TICK,
+    learned::{LearnedChangeRequest, LearnedLimits, calibration_id},
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm},
 };
 use trueup_link::frames;
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
     test_vectors::XorShift32,
 };
@@ -79,7 +79,7 @@ fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> b
     let LearnedLimits { growth, axes, zero } = limits.learned;
     let within = growth <= MAX_LEARNED_LIMITS.growth && axes <= MAX_LEARNED_LIMITS.axes;
     assert!(within && zero <= MAX_LEARNED_LIMITS.zero, "blob {number}: {limits:?}");
-    let mut node = Node::new(Configuration { blob, ..calibration.into() });
+    let mut node = Node::new(NodeConfiguration { blob, ..calibration.into() });
     let mut before = [0; 3];
     let mut was_on = false;
     let level = random.next_below(4_096) as i32;
@@ -88,8 +88,11 @@ fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> b
             let counter = ms / 10;
             let any = random.next_u32() as i32;
             let calibration = calibration_id(calibration_crc(blob));
-            let learned =
-                ChangeRequest { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
+            let learned = LearnedChangeRequest {
+                part: any as u8 % 8,
+                amount: (any >> 16) as i16,
+                calibration,
+            };
             let control = Control { engage: counter >= 4, learned, ..Control::REFERENCED };
             let _ = node.receive(Interface::Can, &frames::encode_control(control, counter));
             let spindle = SpindleState { speed: Rpm(any as u16), load_n: any as i16 };
@@ -106,9 +109,9 @@ fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> b
             }
         }
         let codes: [AdcCode; CODES_PER_TICK] = core::array::from_fn(|_| {
-            AdcCode((level + random.next_symmetric(3)).clamp(0, 4_095) as u16)
+            AdcCode((level + random.next_signed_within(3)).clamp(0, 4_095) as u16)
         });
-        let raw = [RawReading(random.next_u32() as i32 >> 16); 8];
+        let raw = [RawTemperatureReading(random.next_u32() as i32 >> 16); 8];
         let temperatures = (ms % 10 == 5).then_some(&raw);
         node.tick(1, TickInput { codes: Some(&codes), speed: None, temperatures });
         let output = node.last_output();

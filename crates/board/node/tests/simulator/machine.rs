@@ -4,9 +4,9 @@
 use trueup_core::{
     calibration::{AxisModel, Calibration, MachineIdentity},
     cnc::{Control, Output, SpindleState},
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     kinematics::Kinematics,
-    limits::Limits,
+    limits::CompensationLimits,
     thermometer::Thermometer,
     tool_direction::ToolDirection,
     units::{Nanometres, Rpm, Temperature},
@@ -34,7 +34,7 @@ pub const NM_PER_KELVIN: i32 = 4_000;
 
 /// Returns a sensor, then a temperature with a lag, then running time; and one of the two tables of X.
 pub fn calibration(table: usize) -> Calibration<'static> {
-    let mut thermometers = [None; CHANNEL_COUNT];
+    let mut thermometers = [None; TEMPERATURE_CHANNEL_COUNT];
     // One count a kelvin.
     thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
     thermometers[4] = thermometers[2];
@@ -64,7 +64,7 @@ pub fn calibration(table: usize) -> Calibration<'static> {
         squareness: Default::default(),
         volume: None,
         terms: Default::default(),
-        limits: Limits {
+        limits: CompensationLimits {
             max: [Nanometres(MAX_NM); 3],
             slew_nm_per_s: SLEW_NM_PER_MS as u32 * 1_000,
             link_timeout_ms: 500,

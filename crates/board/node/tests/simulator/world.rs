@@ -7,9 +7,9 @@
 use trueup_core::{
     bridge::{ReferenceErrors, TickInput},
     cnc::{CncMessage, Control, OffsetQuality, Output},
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
     temperature_channels::RawTemperatures,
-    thermometer::RawReading,
+    thermometer::RawTemperatureReading,
     units::AdcCode,
 };
 use trueup_link::{frame::Frame, frames, receiver::ReceiveError};
@@ -19,7 +19,7 @@ use trueup_node::{
 };
 use trueup_store::{
     reference::ReferenceStatus,
-    retained::{self, RETAINED_COPY_SIZE, RetainedCopies},
+    retained_state::{self, RETAINED_COPY_SIZE, RetainedCopies},
 };
 
 mod judge;
@@ -183,7 +183,7 @@ impl World {
         let random = &mut self.random;
         let spike = random.next_below(20) as usize;
         core::array::from_fn(|n| {
-            let noise = f64::from(random.next_symmetric(1_000)) / 1_000.0;
+            let noise = f64::from(random.next_signed_within(1_000)) / 1_000.0;
             let code = (level + noise).round().clamp(0.0, 4_095.0) as u16;
             AdcCode(match fault {
                 WorldFault::SensorOpen | WorldFault::BothOpen => 0,
@@ -198,8 +198,8 @@ impl World {
     }
 
     fn raw(&self) -> RawTemperatures {
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        let counts = |celsius: f64| RawReading((celsius * 256.0).round() as i32);
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        let counts = |celsius: f64| RawTemperatureReading((celsius * 256.0).round() as i32);
         // The housing follows at once; its own law has the lag.
         let front = self.room_c + if self.spindle.runs { 15.0 } else { 0.0 };
         raw[4] = counts(self.room_c);
@@ -245,7 +245,7 @@ impl World {
             None,
         );
         self.axis.forget();
-        let stored = retained::load(&self.ram);
+        let stored = retained_state::load(&self.ram);
         // Nothing has been kept since the last cut, or all of it is lost.
         self.has_retained &= !cut;
         assert_eq!(stored.is_some(), self.has_retained, "{}", self.place());
@@ -388,13 +388,13 @@ impl World {
             self.untold_ms += 1;
         }
         if phase == 9
-            && let Some(behind_ms) = self.node.catch_up(10)
+            && let Some(behind_ms) = self.node.advance_clock(10)
         {
             self.untold_ms = 0;
             self.one(behind_ms, TickInput { temperatures: Some(&raw), ..TickInput::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
-            retained::save(&mut self.ram, &self.node.retained_state(), None);
+            retained_state::save_state(&mut self.ram, &self.node.retained_state(), None);
             self.has_retained = true;
         }
         let was = self.cnc.applied_nm;
@@ -411,7 +411,7 @@ impl World {
             self.temperatures_ms = 0;
         }
         let sent = self.node.tick(elapsed_ms, input);
-        for frame in sent.iter().chain(&self.node.service()) {
+        for frame in sent.iter().chain(&self.node.next_service_frame()) {
             for byte in frame.data() {
                 self.seen.checksum =
                     (self.seen.checksum ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);

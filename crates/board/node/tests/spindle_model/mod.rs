@@ -2,10 +2,10 @@
 
 use trueup_core::{
     calibration::{ElongationSource, SpindleModel, SpindleTemperatureModel, SpindleWarmupModel},
+    displacement_sensor::{SensorLaw, SensorSlope},
     lag::SmoothingFactor,
-    sensor::{SensorLaw, SensorSlope},
-    thermal::{LawSegment, ThermalExpansionLaw},
-    units::{FineNanometres, Nanometres, Reading, Temperature},
+    thermal::{ThermalExpansionLaw, ThermalLawSegment},
+    units::{FineNanometres, Nanometres, SensorReading, Temperature},
     warmup::WarmupModel,
 };
 
@@ -32,7 +32,7 @@ impl KnownSpindle {
             chain: sources.map(Some),
             sensor: SensorLaw {
                 k0: Nanometres(0),
-                zero: Reading((self.zero_code * 1024.0) as i32),
+                zero: SensorReading((self.zero_code * 1024.0) as i32),
                 slope: SensorSlope((self.nm_per_code / 1024.0 * 2_f64.powi(28)).round() as i32),
             },
             temperature: Some(SpindleTemperatureModel {
@@ -65,6 +65,10 @@ pub fn law(nm_per_kelvin: f64) -> ThermalExpansionLaw<'static> {
     // 1/16 of 1/256 nm by 1.024 K.
     let slope = nm_per_kelvin * 256.0 * 1.024 * 16.0;
     let start = Temperature(20 * Temperature::PER_KELVIN);
-    let piece = LawSegment { start, constant_slope: slope.round() as i32, ..LawSegment::default() };
+    let piece = ThermalLawSegment {
+        start,
+        constant_slope: slope.round() as i32,
+        ..ThermalLawSegment::default()
+    };
     ThermalExpansionLaw { pieces: Box::leak(Box::new([piece.to_bytes()])) }
 }

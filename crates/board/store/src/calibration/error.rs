@@ -2,8 +2,8 @@
 
 use trueup_core::tool_direction::ToolDirection;
 
-use super::format::{
-    CRC_SIZE, FIXED_PART_SIZE, MAGIC, MAX_BLOB_SIZE, MAX_OFFSET_NM, SCHEMA_VERSION,
+use super::blob_format::{
+    BLOB_MAGIC, CRC_SIZE, FIXED_PART_SIZE, MAX_BLOB_SIZE, MAX_OFFSET_NM, SCHEMA_VERSION,
 };
 
 /// Why there is no blob: the calibration has more in it than a board can store.
@@ -25,7 +25,7 @@ pub enum BlobError {
         len: usize,
     },
     /// No calibration at all, such as erased flash: the bytes at offset 0.
-    #[error("bytes {found:02X?} at 0 are not the mark {MAGIC:02X?} of a calibration")]
+    #[error("bytes {found:02X?} at 0 are not the mark {BLOB_MAGIC:02X?} of a calibration")]
     Magic {
         /// The four bytes.
         found: [u8; 4],

@@ -7,26 +7,28 @@ use trueup_core::{
     },
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    displacement_sensor::SensorLaw,
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
     learned::LearnedLimits,
-    limits::Limits,
-    pitch_table::{Beam, PitchErrorTable},
-    sensor::SensorLaw,
+    limits::CompensationLimits,
+    pitch_table::{GantryBeam, PitchErrorTable},
+    reversal::{self, Interval},
     thermal::ThermalExpansionLaw,
     tool_direction::ToolDirection,
-    travel::{self, Interval},
     units::{FineNanometres, Position},
     warmup::WarmupModel,
 };
 
 use super::{
-    format::{FIXED_PART_SIZE, HEADER_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
-    quantities::{
-        BoundedU32, Channel, ColdTolerance, ConnectedThermometer, HeadAxesAndLearnedLimits,
-        MaxOffset, RejoinAndSwitches, SourceChain, Text,
+    blob_fields::{
+        BoundedU32, ColdTolerance, ConnectedThermometer, HeadAxesAndLearnedLimits, MaxOffset,
+        OptionalChannel, RejoinAndSwitches, SourceChain, Text,
+    },
+    blob_format::{
+        FIXED_PART_SIZE, HEADER_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S,
     },
     terms::TermTable,
     wire::{Field, record},
@@ -43,12 +45,12 @@ record! {
         head_axes: HeadAxesAndLearnedLimits,
         chain: SourceChain,
         sensor: SensorLaw,
-        spindle_channel: Channel,
+        spindle_channel: OptionalChannel,
         spindle_smoothing: SmoothingFactor,
         spindle_law: ThermalExpansionLaw<'b>,
         warmup: WarmupModel,
         power: Curve<'b>,
-        thermometers: [ConnectedThermometer; CHANNEL_COUNT],
+        thermometers: [ConnectedThermometer; TEMPERATURE_CHANNEL_COUNT],
         axes: [AxisRecord<'b>; 3],
         straightness: [Curve<'b>; 6],
         squareness: [Gradient; 6],
@@ -66,7 +68,7 @@ const _: () = assert!(FixedPart::SIZE + HEADER_SIZE == FIXED_PART_SIZE);
 record! {
     /// A linear axis.
     AxisRecord<'b> {
-        channel: Channel,
+        channel: OptionalChannel,
         smoothing: SmoothingFactor,
         origin: Position,
         law: ThermalExpansionLaw<'b>,
@@ -97,7 +99,14 @@ impl<'b> FixedPart<'b> {
             volume,
             terms,
             limits:
-                Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
+                CompensationLimits {
+                    max,
+                    slew_nm_per_s,
+                    link_timeout_ms,
+                    hold_ms,
+                    rejoin_nm_per_s,
+                    learned,
+                },
             cold_within,
             guards: InputSettings { max_rates, service_switch, mains },
             names: MachineIdentity { machine, serial, board },
@@ -119,7 +128,7 @@ impl<'b> FixedPart<'b> {
             head_axes: HeadAxesAndLearnedLimits(head_axes, [learned.growth, learned.axes]),
             chain: SourceChain(chain, learned.zero),
             sensor,
-            spindle_channel: Channel(temperature.map(|temperature| temperature.channel)),
+            spindle_channel: OptionalChannel(temperature.map(|temperature| temperature.channel)),
             spindle_smoothing: temperature.map_or(none, |temperature| temperature.smoothing),
             spindle_law: temperature.map(|temperature| temperature.law).unwrap_or_default(),
             warmup: warmup.map_or(never, |warmup| warmup.law),
@@ -167,7 +176,7 @@ impl<'b> FixedPart<'b> {
             squareness: self.squareness,
             terms: self.terms.0,
             volume: self.terms.1,
-            limits: Limits {
+            limits: CompensationLimits {
                 max: self.max_offsets.map(|max| max.0),
                 slew_nm_per_s: self.slew_nm_per_s.0,
                 link_timeout_ms: self.link_timeout_ms.0,
@@ -195,7 +204,7 @@ impl<'b> AxisRecord<'b> {
         let AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
         let none = SmoothingFactor(0);
         Self {
-            channel: Channel(thermal.map(|thermal| thermal.channel)),
+            channel: OptionalChannel(thermal.map(|thermal| thermal.channel)),
             smoothing: thermal.map_or(none, |thermal| thermal.smoothing),
             origin: thermal.map(|thermal| thermal.origin).unwrap_or_default(),
             law: thermal.map(|thermal| thermal.law).unwrap_or_default(),
@@ -224,11 +233,11 @@ impl<'b> AxisRecord<'b> {
             pitch: self.pitch,
             dual: self.across.zip(self.second_pitch).map(|(across, pitch)| DualDrive {
                 across,
-                beam: Beam::new(first, second),
+                beam: GantryBeam::new(first, second),
                 pitch,
             }),
             backlash: self.backlash,
-            travel: travel::ReversalConfig { hysteresis: self.hysteresis, ramp: self.ramp },
+            travel: reversal::ReversalConfig { hysteresis: self.hysteresis, ramp: self.ramp },
             rapid: self.rapid,
         }
     }

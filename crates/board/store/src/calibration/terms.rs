@@ -3,22 +3,22 @@
 use trueup_core::{
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::{CHANNEL_COUNT, CONDITION_COUNT, MAX_TERMS, MAX_TOOLS},
+    design_parameters::{CONDITION_COUNT, MAX_TERMS, MAX_TOOLS, TEMPERATURE_CHANNEL_COUNT},
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch_table::PitchErrorTable,
+    reversal::Interval,
     term::{
         self, CategoryFactor, ConditionLevels, Effect, SpeedExponent, Target, Term, Tilt, ToolTable,
     },
-    travel::Interval,
     units::{FineNanometres, Position, Temperature},
     volumetric_error::VolumetricErrorModel,
 };
 
 use super::{
+    blob_fields::decode_linear_axis,
     error::BlobError,
-    quantities::decode_linear_axis,
     volume,
     wire::{Field, Reader, Writer},
 };
@@ -28,7 +28,7 @@ const TERM_SIZE: usize = 24;
 /// Bytes of its head and its constant.
 const HEADER_SIZE: usize = 8;
 /// The most binary places of a coefficient.
-const MAX_SHIFT: u8 = 62;
+const MAX_COEFFICIENT_SHIFT: u8 = 62;
 /// The bytes of a term's head, next to its kind, which is the first.
 const TARGET_OFFSET: usize = 1;
 const INPUT_OFFSET: usize = 2;
@@ -115,7 +115,7 @@ impl<'b> Field<'b> for Term<'b> {
             3 => Some(Target::Axis(LinearAxis::Z)),
             found => from.reject_value(offset, found),
         };
-        if shift > MAX_SHIFT {
+        if shift > MAX_COEFFICIENT_SHIFT {
             from.reject(BlobError::Value { offset, found: shift.into() });
         }
         Self {
@@ -196,7 +196,7 @@ impl<'b> Field<'b> for ScaledCoefficient {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        Self { mantissa: i32::read(from), shift: from.term_byte(SHIFT_OFFSET) }
+        Self { mantissa: i32::read(from), shift: from.read_term_byte(SHIFT_OFFSET) }
     }
 }
 
@@ -209,7 +209,7 @@ impl<'b> Field<'b> for LinearAxis {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        let number = from.term_byte(INPUT_OFFSET);
+        let number = from.read_term_byte(INPUT_OFFSET);
         let axis =
             decode_linear_axis(number.into()).or_else(|| from.reject_value(from.term, number));
         axis.unwrap_or(Self::X)
@@ -225,8 +225,8 @@ impl<'b> Field<'b> for u8 {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        let channel = from.term_byte(INPUT_OFFSET);
-        if usize::from(channel) >= CHANNEL_COUNT {
+        let channel = from.read_term_byte(INPUT_OFFSET);
+        if usize::from(channel) >= TEMPERATURE_CHANNEL_COUNT {
             from.reject(BlobError::Value { offset: from.term, found: channel.into() });
         }
         channel
@@ -246,7 +246,7 @@ impl<'b> Field<'b> for SpeedExponent {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        match from.term_byte(INPUT_OFFSET) {
+        match from.read_term_byte(INPUT_OFFSET) {
             1 => Self::First,
             2 => Self::Second,
             found => from.reject_value(from.term, found).unwrap_or(Self::First),
@@ -284,8 +284,12 @@ impl<'b> Field<'b> for Tilt<Curve<'b>> {
         read_tilt_axes(from, |from| {
             let offset = from.at;
             let (segments, index) = (from.read_records(), from.read_records());
-            let curve =
-                Curve::new(Position::read(from), segments, index, from.term_byte(SHIFT_OFFSET));
+            let curve = Curve::new(
+                Position::read(from),
+                segments,
+                index,
+                from.read_term_byte(SHIFT_OFFSET),
+            );
             if !curve.is_consistent() {
                 from.reject(BlobError::Table { offset });
             }
@@ -312,7 +316,7 @@ impl<'b> Field<'b> for ToolTable<'b> {
         let read = Self {
             levels,
             other,
-            shift: from.term_byte(SHIFT_OFFSET),
+            shift: from.read_term_byte(SHIFT_OFFSET),
             times: CategoryFactor::from_number(times).unwrap_or_default(),
         };
         let is_tool = |(number, _)| number <= u32::from(u16::MAX);
@@ -338,7 +342,7 @@ impl<'b> Field<'b> for ConditionLevels {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        let bit = from.term_byte(INPUT_OFFSET);
+        let bit = from.read_term_byte(INPUT_OFFSET);
         if bit >= CONDITION_COUNT {
             from.reject(BlobError::Value { offset: from.term, found: bit.into() });
         }
@@ -349,7 +353,7 @@ impl<'b> Field<'b> for ConditionLevels {
             default: default != 0,
             off,
             on,
-            shift: from.term_byte(SHIFT_OFFSET),
+            shift: from.read_term_byte(SHIFT_OFFSET),
             smoothing,
             times: CategoryFactor::from_number(times).unwrap_or_default(),
         }
@@ -377,7 +381,7 @@ fn read_tilt_axes<'b, A>(
     from: &mut Reader<'b>,
     angle: impl FnOnce(&mut Reader<'b>) -> A,
 ) -> Tilt<A> {
-    let axes = from.term_byte(INPUT_OFFSET);
+    let axes = from.read_term_byte(INPUT_OFFSET);
     let mut axis = |number: u8| {
         let axis = decode_linear_axis(number.into()).or_else(|| from.reject_value(from.term, axes));
         axis.unwrap_or(LinearAxis::X)

@@ -12,22 +12,22 @@ use trueup_core::{
         SpindleModel, SpindleTemperatureModel, SpindleWarmupModel,
     },
     cnc::LinearAxis,
-    curve::{Curve, Segment},
-    dimensions::MAX_TERMS,
+    curve::{Curve, CurveSegment},
+    design_parameters::MAX_TERMS,
+    displacement_sensor::{SensorLaw, SensorSlope},
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
     kinematics::{Kinematics, RotaryAxis},
     lag::SmoothingFactor,
     learned::LearnedLimits,
-    limits::Limits,
-    pitch_table::{Beam, PitchErrorTable},
-    sensor::{SensorLaw, SensorSlope},
+    limits::CompensationLimits,
+    pitch_table::{GantryBeam, PitchErrorTable},
+    reversal::{self, Interval},
     term::{Effect, SpeedExponent, Target, Term, Tilt},
-    thermal::{LawSegment, ThermalExpansionLaw},
+    thermal::{ThermalExpansionLaw, ThermalLawSegment},
     thermometer::Thermometer,
     tool_direction::ToolDirection,
-    travel::{self, Interval},
-    units::{FineNanometres, Nanometres, Position, Reading, Temperature},
+    units::{FineNanometres, Nanometres, Position, SensorReading, Temperature},
     warmup,
 };
 
@@ -69,7 +69,7 @@ fn terms<'a>(pitch: PitchErrorTable<'a>, curve: Curve<'a>) -> [Option<Term<'a>>;
 
 /// Returns a calibration with something in every field.
 pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
-    let piece = LawSegment {
+    let piece = ThermalLawSegment {
         start: Temperature(94_208_000),
         constant: FineNanometres(1),
         constant_slope: 2,
@@ -77,7 +77,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         gradient_slope: 4,
     };
     let pieces = [piece.to_bytes()];
-    let segment = |end| Segment::new(Position(end), 15, [256, 0, 0, 0]).to_bytes();
+    let segment = |end| CurveSegment::new(Position(end), 15, [256, 0, 0, 0]).to_bytes();
     let segments = [100_000, 131_071].map(segment);
     // The second segment begins after the start of the last of four buckets of 2¹⁵.
     let index = [[0, 0], [0, 0], [0, 0], [0, 0]];
@@ -99,11 +99,11 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         pitch: Some(pitch),
         dual: Some(DualDrive {
             across: LinearAxis::Y,
-            beam: Beam::new(Position(1), Position(2)),
+            beam: GantryBeam::new(Position(1), Position(2)),
             pitch: PitchErrorTable { reverse: None, ..pitch },
         }),
         backlash: FineNanometres(-77),
-        travel: travel::ReversalConfig { hysteresis: 100, ramp: Interval::new(5_000) },
+        travel: reversal::ReversalConfig { hysteresis: 100, ramp: Interval::new(5_000) },
         rapid: 0,
     };
     let law = warmup::WarmupModel {
@@ -128,7 +128,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             ],
             sensor: SensorLaw {
                 k0: Nanometres(-1_250),
-                zero: Reading(645_120),
+                zero: SensorReading(645_120),
                 slope: SensorSlope(31_998_000),
             },
             temperature: Some(SpindleTemperatureModel {
@@ -152,7 +152,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         squareness: [-3, -2, -1, 0, 1, 2].map(Gradient),
         volume: None,
         terms,
-        limits: Limits {
+        limits: CompensationLimits {
             max: [200_000, 200_000, 500_000].map(Nanometres),
             slew_nm_per_s: 20_000,
             link_timeout_ms: 500,

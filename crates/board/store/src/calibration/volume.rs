@@ -14,8 +14,8 @@ use trueup_core::{
 };
 
 use super::{
+    blob_fields::{decode_linear_axis, decode_rotary_axis, rotary_axis_number},
     error::BlobError,
-    quantities::{decode_linear_axis, decode_rotary_axis, rotary_axis_number},
     wire::{Field, Reader, Writer, fields},
 };
 

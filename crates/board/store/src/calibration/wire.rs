@@ -3,7 +3,7 @@
 //! A field of fixed size lies where it stands. A table lies behind the fixed part and all tables
 //! before it; where it stands there is a reference, `u16` offset and `u16` number of records.
 
-use super::{error::BlobError, format::FIXED_PART_SIZE};
+use super::{blob_format::FIXED_PART_SIZE, error::BlobError};
 
 /// A type that can be a field: written and read alike.
 pub(super) trait Field<'b>: Sized {
@@ -156,7 +156,7 @@ impl<'b> Reader<'b> {
 
     /// Returns a cap in the four bytes that were read last, at most `most`.
     #[inline(never)]
-    pub(crate) fn read_cap(&mut self, found: u8, most: u8) -> u8 {
+    pub(crate) fn check_limit(&mut self, found: u8, most: u8) -> u8 {
         if found > most {
             let offset = self.at.saturating_sub(4);
             self.reject(BlobError::Limit { offset, found: found.into(), most: most.into() });
@@ -178,7 +178,7 @@ impl<'b> Reader<'b> {
     }
 
     /// Returns a byte in the head of the present term.
-    pub(crate) fn term_byte(&self, number: usize) -> u8 {
+    pub(crate) fn read_term_byte(&self, number: usize) -> u8 {
         self.blob.get(self.term.saturating_add(number)).copied().unwrap_or_default()
     }
 

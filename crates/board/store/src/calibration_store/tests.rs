@@ -144,7 +144,7 @@ fn a_dead_flash_takes_nothing_and_reports_it() {
     let dead = Flash { dead: true, ..Flash::erased() };
     let (mut slots, _) = open(&dead, IMAGE);
     slots.log.flash.dead = true;
-    assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::NotTaken));
+    assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::WriteFailed));
     let zeros = Flash { dead: true, ..Flash::from_bytes(vec![0; 2 * SECTOR]) };
     let (mut slots, found) = open(&zeros, IMAGE);
     slots.log.flash.dead = true;
@@ -323,7 +323,7 @@ fn a_slot_that_was_refused_and_is_read_later_does_not_win() {
         refused = sequence;
         false
     };
-    assert_eq!(slots.log.append(1, is_refused), Err(StoreError::NotTaken));
+    assert_eq!(slots.log.append(1, is_refused), Err(StoreError::WriteFailed));
     let (next, _) = slots.log.append(1, |_, _, _| true).expect("there is room");
     assert!(next > refused, "{next} after {refused}");
 }

@@ -66,7 +66,7 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
 fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
     let (mut log, found) = open(&Flash::erased(), OURS);
     assert_eq!(found.supply, InternalReferenceLevel(0));
-    log.set_supply_basis(InternalReferenceLevel(24_001));
+    log.set_supply_baseline(InternalReferenceLevel(24_001));
     // More than the flash holds: records move, and after a start what was found goes on.
     for n in 1..=4 * SLOTS {
         log.append(held(n)).unwrap();
@@ -218,7 +218,7 @@ fn a_dead_flash_is_reported_and_nothing_else_happens() {
         assert_eq!(found.damaged, if is_blank { 0 } else { 2 * SLOTS });
         let room = if is_blank { Ok(false) } else { Err(StoreError::NotErased) };
         assert_eq!(log.erase_spare_half(), room);
-        let refused = if is_blank { StoreError::NotTaken } else { StoreError::Full };
+        let refused = if is_blank { StoreError::WriteFailed } else { StoreError::Full };
         assert_eq!(log.append(held(1)), Err(refused));
     }
 }

@@ -16,16 +16,16 @@ use trueup_numerics::noise::RowSpacings;
 
 use super::{
     UncompensatedRun,
-    interval::{FactorEstimate, UNIT_FACTOR_TOLERANCE},
+    factor_estimate::{FactorEstimate, UNIT_FACTOR_TOLERANCE},
     troubleshooting::repeat_run_instruction,
     two_stage_least_squares::{TwoStageLeastSquares, compute_row_spacings},
 };
 use crate::{
     InputFileError, Location,
     effect::Quantity,
-    file::Machine,
     keys::reader::is_temperature_column,
-    predict::{PREDICTION_COLUMNS, Predictor},
+    machine_file::Machine,
+    predict::{PREDICTION_COLUMNS, RunPredictor},
     run_file::RunFile,
     sections::{ElongationSource, Warmup},
 };
@@ -33,7 +33,7 @@ use crate::{
 /// A smaller offset is none, in µm: half a step of the wire.
 const MIN_OFFSET_UM: f64 = 0.005;
 /// More rows than these make the estimate no better than the model is: of more, each n-th is used.
-const MAX_ROWS: usize = 20_000;
+const MAX_ESTIMATION_ROWS: usize = 20_000;
 /// Lags that the model may lack, as shares of the longest run.
 const CANDIDATE_LAG_FRACTIONS: [f64; 3] = [0.01, 0.05, 0.2];
 /// Thermometers that the error may depend on.
@@ -43,11 +43,11 @@ const MAX_TEMPERATURE_COVARIATES: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OffsetApplication {
     /// No offset was applied in any row.
-    Nothing,
+    NoOffset,
     /// The CNC applies the offset once, as it should.
     Once(FactorEstimate),
     /// It applies it otherwise.
-    Otherwise(FactorEstimate),
+    OtherFactor(FactorEstimate),
     /// The runs do not decide it: too few rows with, or without, the offset.
     Unknown(Option<FactorEstimate>),
 }
@@ -55,7 +55,7 @@ pub enum OffsetApplication {
 impl OffsetApplication {
     fn from_factor(factor: Option<FactorEstimate>) -> Self {
         match factor {
-            Some(factor) if factor.excludes_one() => Self::Otherwise(factor),
+            Some(factor) if factor.excludes_one() => Self::OtherFactor(factor),
             Some(factor) if factor.confirms_one() => Self::Once(factor),
             unsure => Self::Unknown(unsure),
         }
@@ -65,8 +65,8 @@ impl OffsetApplication {
     #[must_use]
     pub fn factor(self) -> Option<FactorEstimate> {
         match self {
-            Self::Nothing => None,
-            Self::Once(factor) | Self::Otherwise(factor) => Some(factor),
+            Self::NoOffset => None,
+            Self::Once(factor) | Self::OtherFactor(factor) => Some(factor),
             Self::Unknown(factor) => factor,
         }
     }
@@ -75,7 +75,7 @@ impl OffsetApplication {
 /// Estimates the factor from `runs` of one machine, all of them together. Without a machine file the error may be made of
 /// what else was recorded.
 #[must_use]
-pub fn estimate_application(
+pub fn estimate_offset_application(
     runs: &[UncompensatedRun<'_>],
     machine: Option<&Machine>,
     quantity: Quantity,
@@ -85,7 +85,7 @@ pub fn estimate_application(
             .is_some_and(|um| um.iter().any(|um| um.abs() > MIN_OFFSET_UM))
     };
     if !runs.iter().any(is_applied) {
-        return OffsetApplication::Nothing;
+        return OffsetApplication::NoOffset;
     }
     let factor = CompleteRows::from_runs(runs, machine, quantity).and_then(|rows| {
         let is_on = |um: &f64| f64::from(u8::from(um.abs() > MIN_OFFSET_UM));
@@ -134,10 +134,10 @@ pub fn require_unit_factor(
     machine: Option<&Machine>,
     quantity: Quantity,
 ) -> Result<(), InputFileError> {
-    let rule = match estimate_application(runs, machine, quantity) {
-        OffsetApplication::Nothing | OffsetApplication::Once(_) => return Ok(()),
+    let rule = match estimate_offset_application(runs, machine, quantity) {
+        OffsetApplication::NoOffset | OffsetApplication::Once(_) => return Ok(()),
         OffsetApplication::Unknown(_) if is_fully_compensated(runs, quantity) => return Ok(()),
-        OffsetApplication::Otherwise(factor) => {
+        OffsetApplication::OtherFactor(factor) => {
             format!("{} {}", factor.describe(), FactorEstimate::troubleshooting_steps().join(" "))
         }
         OffsetApplication::Unknown(_) => format!(
@@ -168,14 +168,14 @@ pub struct PairedRuns<'p> {
 impl PairedRuns<'_> {
     /// Estimates the factor: the first run says what the error of the second is.
     #[must_use]
-    pub fn estimate_application(&self) -> OffsetApplication {
+    pub fn estimate_offset_application(&self) -> OffsetApplication {
         let is_known =
             |row: &usize| self.difference_um[*row].is_finite() && self.offset_um[*row].is_finite();
         let rows: Vec<usize> = (0..self.at.len()).filter(is_known).collect();
         let of = |all: &[f64]| rows.iter().map(|row| all[*row]).collect::<Vec<f64>>();
         let offset_um = of(self.offset_um);
         if offset_um.iter().all(|um| um.abs() <= MIN_OFFSET_UM) {
-            return OffsetApplication::Nothing;
+            return OffsetApplication::NoOffset;
         }
         let predicted = of(self.predicted_um);
         let is_predicted = predicted.iter().all(|um| um.is_finite());
@@ -240,7 +240,7 @@ impl CompleteRows {
             None => columns.clone(),
         };
         let variants =
-            machine.map(|machine| model_variants(machine, quantity, longest_run_s(&runs)));
+            machine.map(|machine| model_variants(machine, quantity, max_run_duration_s(&runs)));
         let variants = variants.iter().flatten();
         columns.extend(
             variants
@@ -253,7 +253,7 @@ impl CompleteRows {
             all.into_iter().chain(&columns).all(|column| column[*row].is_finite())
         };
         let known: Vec<usize> = (0..measured.len()).filter(is_known).collect();
-        let every = known.len().div_ceil(MAX_ROWS).max(1);
+        let every = known.len().div_ceil(MAX_ESTIMATION_ROWS).max(1);
         let known: Vec<usize> = known.into_iter().step_by(every).collect();
         let pick = |all: &Vec<f64>| known.iter().map(|row| all[*row]).collect::<Vec<f64>>();
         let constant = |number: usize| {
@@ -274,7 +274,7 @@ impl CompleteRows {
 }
 
 /// Returns the time that the longest run takes, in s; 0 where there is no time.
-fn longest_run_s(runs: &[&UncompensatedRun<'_>]) -> f64 {
+fn max_run_duration_s(runs: &[&UncompensatedRun<'_>]) -> f64 {
     let longest = runs.iter().filter_map(|run| {
         let times = run.column("time_s")?;
         let [low, high] =
@@ -342,7 +342,7 @@ pub fn predict_um(machine: &Machine, run: &RunFile, quantity: Quantity) -> Optio
     let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity)?;
     let mut run = run.clone();
     run.remove_columns(|name| PREDICTION_COLUMNS.contains(&name));
-    let predictor = Predictor::new(machine, &run).ok()?;
+    let predictor = RunPredictor::new(machine, &run).ok()?;
     let um = predictor.model_values().map(|values| values.to_array()[index]).collect();
     Some(um)
 }

@@ -1,6 +1,6 @@
 //! Where a CNC may apply an offset otherwise than once, control by control, and the sentences for the user.
 
-use super::interval::FactorEstimate;
+use super::factor_estimate::FactorEstimate;
 
 /// The possible faults of each control.
 const TROUBLESHOOTING_HINTS: [&str; 5] = [

@@ -14,7 +14,7 @@ use trueup_numerics::{
     t_quantile,
 };
 
-use super::interval::FactorEstimate;
+use super::factor_estimate::FactorEstimate;
 
 /// The least F of the first stage. Below it an instrument is weak (Staiger & Stock 1997).
 const MIN_FIRST_STAGE_F: f64 = 10.0;

@@ -11,7 +11,7 @@
 //! A clock that runs back within a run is refused where the run is read.
 
 use super::{
-    range::{ImplausibleValue, Plausibility},
+    plausibility::{ImplausibleValue, Plausibility},
     warning::Warning,
 };
 use crate::{keys::reader::is_temperature_column, run_file::RunFile};
@@ -19,7 +19,7 @@ use crate::{keys::reader::is_temperature_column, run_file::RunFile};
 /// Steps that make a record regular: at least as many, of which this share is within a tenth of the median.
 const MIN_REGULAR_STEPS: usize = 50;
 const MIN_REGULAR_FRACTION: f64 = 0.95;
-const STEP_TOLERANCE: f64 = 0.1;
+const RELATIVE_STEP_TOLERANCE: f64 = 0.1;
 /// From this many medians on a step is a pause …
 const MIN_PAUSE_RATIO: f64 = 20.0;
 /// … and from this many on it may be a clock that was set.
@@ -58,7 +58,7 @@ struct ClockStep {
 
 /// Returns what the steps of the clock are.
 pub(super) fn check_clock(run: &RunFile) -> ClockFindings {
-    let Some((steps, median_s)) = find_irregular_steps(run) else {
+    let Some((steps, median_s)) = find_irregular_clock_steps(run) else {
         return ClockFindings::default();
     };
     let at = |step: &ClockStep, what: String, help: String| Warning {
@@ -125,7 +125,7 @@ pub(super) fn check_clock(run: &RunFile) -> ClockFindings {
 }
 
 /// Returns the steps that differ from the others, and the median step; `None` where the record is not regular.
-fn find_irregular_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
+fn find_irregular_clock_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
     let time_s = run.column("time_s")?;
     let runs = run.column("run");
     let rows: Vec<usize> = (0..time_s.len()).filter(|row| !time_s[*row].is_nan()).collect();
@@ -141,7 +141,7 @@ fn find_irregular_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
     let median_s = *sorted.get(sorted.len() / 2)?;
     let near = sorted
         .iter()
-        .filter(|step_s| (**step_s - median_s).abs() <= STEP_TOLERANCE * median_s)
+        .filter(|step_s| (**step_s - median_s).abs() <= RELATIVE_STEP_TOLERANCE * median_s)
         .count();
     if sorted.len() < MIN_REGULAR_STEPS
         || median_s <= 0.0

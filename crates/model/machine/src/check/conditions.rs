@@ -4,23 +4,23 @@ use std::collections::BTreeSet;
 
 use crate::{
     compile::first_free_condition_bit,
-    file::Machine,
     inputs::ConditionInput,
     keys::reader::is_temperature_column,
     known_columns::is_known_column,
-    run_file::{Column, RunFile},
+    machine_file::Machine,
+    run_file::{RunColumn, RunFile},
 };
 
 /// More values than that are a quantity, fewer rows of one are chance: as a diagnosis has it (docs/reference.md,
 /// Run files).
-const MAX_LEVELS: usize = 12;
+const MAX_COLUMN_LEVELS: usize = 12;
 const MIN_LEVEL_ROWS: usize = 8;
 /// Columns that a recorder writes next to the known ones.
 const RECORDER_COLUMNS: [&str; 3] = ["flags", "age_ms", "elongation_um"];
 
 /// Returns a sentence for each column of `run` that has few values and is no condition in `machine` yet.
 #[must_use]
-pub fn suggest_conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
+pub fn suggest_condition_columns(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
     let mut inputs = machine.and_then(|machine| machine.inputs.clone()).unwrap_or_default();
     let mut sentences = Vec::new();
     for column in run.columns().iter().filter(|column| is_user_column(&column.name)) {
@@ -54,13 +54,13 @@ fn is_user_column(name: &str) -> bool {
 }
 
 /// Returns the values of a column that has few; none of one that stands still.
-fn find_discrete_levels(column: &Column) -> Option<Vec<f64>> {
+fn find_discrete_levels(column: &RunColumn) -> Option<Vec<f64>> {
     let there = || column.values.iter().copied().filter(|value| value.is_finite());
     let mut bits: BTreeSet<u64> = BTreeSet::new();
     for value in there() {
         // Zero has two signs.
         bits.insert((value + 0.0).to_bits());
-        if bits.len() > MAX_LEVELS {
+        if bits.len() > MAX_COLUMN_LEVELS {
             return None;
         }
     }

@@ -3,7 +3,7 @@
 use super::warning::Warning;
 use crate::{
     effect::BoardTerm,
-    file::{Machine, Term},
+    machine_file::{Machine, Term},
     sections::{ElongationSource, LinearAxis},
     spline::spline_value_um,
 };

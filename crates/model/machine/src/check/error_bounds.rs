@@ -2,7 +2,7 @@
 
 use crate::{
     effect::{BoardTerm, Multiplier, Quantity, SpeedExponent, relative_heat_input},
-    file::{Machine, Term},
+    machine_file::{Machine, Term},
     model::tool_growth_term,
     sections::{AngleProfile, LinearAxis, PitchErrorTable, ThermalLaw},
 };
@@ -48,11 +48,11 @@ pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<Erro
             along_mm.map(|mm| max_linear_error_um(line.um_per_m, mm)),
         );
     }
-    for (key, largest_um) in max_volumetric_errors(machine, axis) {
+    for (key, largest_um) in max_volumetric_errors_um(machine, axis) {
         add(key, largest_um);
     }
     for (index, term) in machine.terms.iter().enumerate() {
-        if term.quantity.axis() == Some(axis) && term.effect.is_compensated() {
+        if term.quantity.axis() == Some(axis) && term.effect.is_compensable() {
             let forms = term.effect.board_terms();
             let um = forms
                 .iter()
@@ -64,7 +64,7 @@ pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<Erro
     let along = elongation_fraction(machine, axis);
     let of_growth = |term: &Term| {
         let is_of_growth = term.quantity == Quantity::Elongation && along > 0.0;
-        is_of_growth && term.effect.is_compensated() && machine.has_elongation()
+        is_of_growth && term.effect.is_compensable() && machine.has_elongation()
     };
     for (index, term) in machine.terms.iter().enumerate().filter(|(_, term)| of_growth(term)) {
         let forms = term.effect.board_terms();
@@ -86,7 +86,7 @@ pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<Erro
 
 /// Returns what angular errors and lines of rotary axes can make on an axis: the largest angle at the longest lever
 /// over the travels. `None`: by a travel that the file does not say.
-fn max_volumetric_errors(machine: &Machine, axis: LinearAxis) -> Vec<(String, Option<f64>)> {
+fn max_volumetric_errors_um(machine: &Machine, axis: LinearAxis) -> Vec<(String, Option<f64>)> {
     let volume = &machine.volume;
     let Some(chain) = &volume.chain else { return Vec::new() };
     let mut parts = Vec::new();

@@ -2,12 +2,12 @@
 
 use super::warning::Warning;
 use crate::{
-    file::{Machine, MachineKind},
+    machine_file::{Machine, MachineKind},
     sections::{AngleProfile, LinearAxis},
 };
 
 /// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
-pub(super) const OVERTRAVEL_SHARE: f64 = 0.01;
+pub(super) const OVERTRAVEL_FRACTION: f64 = 0.01;
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     tool_direction_warning(machine)
@@ -81,7 +81,7 @@ fn curve_range_warnings(machine: &Machine) -> Vec<Warning> {
         .chain(angles)
         .filter_map(|(name, along, spline)| {
             let travel_mm = machine.axes[along.index()].travel_mm?;
-            let spare_mm = OVERTRAVEL_SHARE * (travel_mm[1] - travel_mm[0]);
+            let spare_mm = OVERTRAVEL_FRACTION * (travel_mm[1] - travel_mm[0]);
             let key = format!("{name}.knots_mm");
             outside_travel_warning(machine, &key, spline.range_mm()?, travel_mm, spare_mm, along)
         })

@@ -4,7 +4,7 @@ use super::{
     error_bounds::{self, ErrorBound, MAX_TEMPERATURE_DEVIATION_K},
     warning::Warning,
 };
-use crate::{envelope, file::Machine, location::InputFileError, sections::LinearAxis};
+use crate::{envelope, location::InputFileError, machine_file::Machine, sections::LinearAxis};
 
 /// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
 /// (field notes), at which a following error does not show.
@@ -47,7 +47,7 @@ fn cancelling_terms_warning(machine: &Machine) -> Option<Warning> {
 }
 
 /// Returns the fastest slew that an axis of this rapid traverse does not notice, in µm/s.
-pub(super) fn max_unnoticed_slew_um_per_s(rapid_mm_per_min: f64) -> f64 {
+pub(super) fn max_negligible_slew_um_per_s(rapid_mm_per_min: f64) -> f64 {
     const UM_PER_S_PER_MM_PER_MIN: f64 = 1000.0 / 60.0;
     rapid_mm_per_min * UM_PER_S_PER_MM_PER_MIN * MAX_SLEW_TO_RAPID_RATIO
 }
@@ -57,7 +57,7 @@ fn slew_rate_warning(machine: &Machine) -> Option<Warning> {
     let stated = rapids.into_iter().filter_map(|(axis, rapid)| Some((axis, rapid?)));
     let slowest = stated.min_by(|a, b| a.1.total_cmp(&b.1));
     let rapid = slowest.map_or(DEFAULT_RAPID_MM_PER_MIN, |(_, rapid)| rapid);
-    let most = max_unnoticed_slew_um_per_s(rapid);
+    let most = max_negligible_slew_um_per_s(rapid);
     let slew = machine.limits.slew_um_per_s;
     if slew <= most {
         return None;

@@ -4,7 +4,7 @@ use super::{
     error_bounds::{axis_error_bounds, elongation_bounds},
     warning::Warning,
 };
-use crate::{file::Machine, sections::LinearAxis};
+use crate::{machine_file::Machine, sections::LinearAxis};
 
 /// Returns a warning for a file with which every offset stays at 0; `None` where something is corrected.
 #[must_use]

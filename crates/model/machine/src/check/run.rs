@@ -3,15 +3,15 @@
 
 use super::{
     geometry,
-    range::{self, ImplausibleValue, Plausibility},
+    plausibility::{self, ImplausibleValue, Plausibility},
     sensor::{FULL_SCALE_COUNTS, S7_FULL_SCALE_COUNTS},
     warning::Warning,
 };
 use crate::{
     effect::Quantity,
-    file::Machine,
-    predict::Predictor,
-    run_file::{Column, RunFile},
+    machine_file::Machine,
+    predict::RunPredictor,
+    run_file::{RunColumn, RunFile},
     sections::LinearAxis,
 };
 
@@ -23,7 +23,7 @@ const MIN_R_SQUARED: f64 = 0.5;
 
 /// Rows that a statement about a whole column needs: of three values in the wrong unit none is in the right
 /// one by chance.
-const MIN_ROWS: usize = 3;
+const MIN_COLUMN_ROWS: usize = 3;
 
 /// This many rows are held against the model: a long run need not be predicted whole to know its unit.
 const MAX_CHECKED_ROWS: usize = 10_000;
@@ -55,7 +55,7 @@ pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<I
         of_sensor.and_then(|column| Some(("sensor_counts".into(), voltage_warning(run, column)?)));
     // A file that no machine has says nothing of the run's units.
     let is_sound = |machine: &&Machine| {
-        range::machine_findings(machine)
+        plausibility::machine_findings(machine)
             .iter()
             .all(|finding| finding.grade != Plausibility::Impossible)
     };
@@ -70,18 +70,18 @@ pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<I
     volts.into_iter().chain(of_machine).map(finding).collect()
 }
 
-fn known_values(column: &Column) -> impl Iterator<Item = f64> {
+fn known_values(column: &RunColumn) -> impl Iterator<Item = f64> {
     column.values.iter().copied().filter(|value| !value.is_nan())
 }
 
 /// Returns the least and the most of a column with values enough.
-fn value_range(column: &Column) -> Option<[f64; 2]> {
+fn value_range(column: &RunColumn) -> Option<[f64; 2]> {
     let (mut range, mut rows) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
     for value in known_values(column) {
         range = [range[0].min(value), range[1].max(value)];
         rows += 1;
     }
-    (rows >= MIN_ROWS).then_some(range)
+    (rows >= MIN_COLUMN_ROWS).then_some(range)
 }
 
 fn column_warning(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
@@ -90,7 +90,7 @@ fn column_warning(run: &RunFile, column: &str, what: &str, help: impl Into<Strin
     Warning { place, what: format!("{column} {what}"), help: help.into() }
 }
 
-fn voltage_warning(run: &RunFile, column: &Column) -> Option<Warning> {
+fn voltage_warning(run: &RunFile, column: &RunColumn) -> Option<Warning> {
     let [least, most] = value_range(column)?;
     let has_fraction = known_values(column).any(|value| value.fract() != 0.0);
     (has_fraction && least >= 0.0 && most <= MAX_SENSOR_VOLTS && most > 0.0).then(|| {
@@ -101,11 +101,11 @@ fn voltage_warning(run: &RunFile, column: &Column) -> Option<Warning> {
 }
 
 /// Readings that pile up at 27648 where the file's full scale is 32768: the input ends there.
-fn s7_full_scale_warning(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warning> {
+fn s7_full_scale_warning(run: &RunFile, column: &RunColumn, machine: &Machine) -> Option<Warning> {
     let input = machine.inputs.as_ref()?.sensor?;
     let [_, most] = value_range(column)?;
     let at_end = known_values(column).filter(|&value| value == S7_FULL_SCALE_COUNTS).count();
-    (input.counts_full_scale == FULL_SCALE_COUNTS && most == S7_FULL_SCALE_COUNTS && at_end >= MIN_ROWS).then(|| {
+    (input.counts_full_scale == FULL_SCALE_COUNTS && most == S7_FULL_SCALE_COUNTS && at_end >= MIN_COLUMN_ROWS).then(|| {
         let what = format!(
             "ends at {S7_FULL_SCALE_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_SCALE_COUNTS}"
         );
@@ -128,7 +128,7 @@ fn axis_travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64
 /// Positions in another unit.
 fn position_unit_warnings(run: &RunFile, machine: &Machine) -> Vec<(String, Warning)> {
     let axes = axis_travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
-        let unit = position_unit([least, most], [low, high])?;
+        let unit = suspected_position_unit([least, most], [low, high])?;
         let what = format!(
             "is from {least} to {most}, and the travel_mm of the machine file {low} to {high}: it looks like {unit}, not mm"
         );
@@ -141,8 +141,8 @@ fn position_unit_warnings(run: &RunFile, machine: &Machine) -> Vec<(String, Warn
 /// Positions that the axis cannot have.
 fn outside_travel_warnings(run: &RunFile, machine: &Machine) -> Vec<Warning> {
     let axes = axis_travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
-        let spare_mm = geometry::OVERTRAVEL_SHARE * (high - low);
-        if position_unit([least, most], [low, high]).is_some() {
+        let spare_mm = geometry::OVERTRAVEL_FRACTION * (high - low);
+        if suspected_position_unit([least, most], [low, high]).is_some() {
             return None;
         }
         (least < low - spare_mm || most > high + spare_mm).then(|| {
@@ -157,12 +157,12 @@ fn outside_travel_warnings(run: &RunFile, machine: &Machine) -> Vec<Warning> {
 
 /// Returns the unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
 /// not.
-fn position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
+fn suspected_position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
     const FULL_TRAVEL_RATIO_RANGE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
     let length = |[low, high]: [f64; 2]| high - low;
     let share = |mm_per_unit: f64| length(range) * mm_per_unit / length(travel_mm);
     let is_within = |mm_per_unit: f64| {
-        let spare_mm = geometry::OVERTRAVEL_SHARE * length(travel_mm);
+        let spare_mm = geometry::OVERTRAVEL_FRACTION * length(travel_mm);
         range[0] * mm_per_unit >= travel_mm[0] - spare_mm
             && range[1] * mm_per_unit <= travel_mm[1] + spare_mm
     };
@@ -192,7 +192,7 @@ fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> 
         return Vec::new();
     }
     let first = run.with_altered_values(MAX_CHECKED_ROWS, |_, _| {});
-    let Ok(predictor) = Predictor::new(machine, &first) else { return Vec::new() };
+    let Ok(predictor) = RunPredictor::new(machine, &first) else { return Vec::new() };
     let predicted: Vec<[f64; 4]> =
         predictor.model_values().map(|values| values.to_array()).collect();
     let units = names.iter().enumerate().filter_map(|(number, name)| {
@@ -230,7 +230,7 @@ fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> 
 /// latter; `None` where there is nothing to compare.
 fn regression_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let pairs: Vec<(f64, f64)> = pairs.collect();
-    if pairs.len() < MIN_ROWS {
+    if pairs.len() < MIN_COLUMN_ROWS {
         return None;
     }
     let count = pairs.len() as f64;

@@ -1,7 +1,7 @@
 //! The displacement sensor: whether it can read what the file says, and in these units.
 
 use super::warning::Warning;
-use crate::{file::Machine, inputs::SensorInput, sections::SensorModel};
+use crate::{inputs::SensorInput, machine_file::Machine, sections::SensorModel};
 
 /// A SIMATIC S7's analogue input gives this many counts at 10 V (its manual); the paper's controller, and
 /// with it many examples, 32768.

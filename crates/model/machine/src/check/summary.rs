@@ -5,18 +5,18 @@ use trueup_store::calibration::MAX_BLOB_SIZE;
 
 use super::{
     error_bounds::{ErrorBound, axis_error_bounds, elongation_bounds, elongation_fraction},
-    limits::max_unnoticed_slew_um_per_s,
+    limits::max_negligible_slew_um_per_s,
 };
 use crate::{
     compile::{DECOMPILED_SENSOR_INPUT, compile},
-    file::Machine,
     location::InputFileError,
+    machine_file::Machine,
     sections::LinearAxis,
 };
 
 /// The effects of a machine file.
 #[derive(Clone, Debug)]
-pub struct Summary {
+pub struct MachineSummary {
     /// X, Y and Z.
     pub axes: [AxisSummary; 3],
     /// The fastest change of an offset, in µm/s.
@@ -69,7 +69,7 @@ impl AxisSummary {
     }
 }
 
-impl Summary {
+impl MachineSummary {
     /// Of a machine.
     #[must_use]
     pub fn from_machine(machine: &Machine) -> Self {
@@ -82,7 +82,7 @@ impl Summary {
                 limit_um: machine.limits.max_um[axis.index()],
             }),
             slew_um_per_s,
-            slowest_rapid_mm_per_min: slew_um_per_s / max_unnoticed_slew_um_per_s(1.0),
+            slowest_rapid_mm_per_min: slew_um_per_s / max_negligible_slew_um_per_s(1.0),
             jumps_pass: LinearAxis::ALL
                 .into_iter()
                 .filter(|axis| machine.axes[axis.index()].rapid_mm_per_min.is_none())

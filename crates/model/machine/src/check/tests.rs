@@ -298,7 +298,7 @@ fn growth_with_a_speed_that_the_file_does_not_say_is_not_called_0() {
             "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
              [spindle.warmup]\nlag_s = 60\nwarm_s = 5400\nmax_um = 30\nexponent = 4\n{rated}{growth}"
         );
-        Summary::from_machine(&parse(&text)).axes[2].max_total_error_um()
+        MachineSummary::from_machine(&parse(&text)).axes[2].max_total_error_um()
     };
     let rated = "rated_rpm = 10000\n";
     let tools = "[spindle.tools]\ndefault = { um_per_krpm2 = 0.02 }\n3 = { um_per_krpm2 = 0.1 }\n";
@@ -407,7 +407,7 @@ fn a_column_in_another_unit_is_reported_by_its_name() {
 
 #[test]
 fn a_summary_has_the_largest_of_each_part_and_the_room_on_the_board() {
-    let summary = Summary::from_machine(&parse(RIGHT));
+    let summary = MachineSummary::from_machine(&parse(RIGHT));
     let [x, y, z] = &summary.axes;
     assert_eq!(y.max_total_error_um().map(f64::to_bits), Some(0), "not −0, which JSON would show");
     // 10 K at 1 m: 10 + 115; the table 4; backlash 3 and the term's 1.

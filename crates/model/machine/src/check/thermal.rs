@@ -2,8 +2,8 @@
 
 use super::{error_bounds::MAX_TEMPERATURE_DEVIATION_K, warning::Warning};
 use crate::{
-    file::Machine,
     keys::section::Value,
+    machine_file::Machine,
     sections::{LinearAxis, ThermalLaw},
 };
 

@@ -1,10 +1,10 @@
 //! Thermometers of what changes fast: the board does not believe more than 10 K/min unless the file says so.
 
 use super::warning::Warning;
-use crate::{file::Machine, model::required_columns};
+use crate::{machine_file::Machine, model::required_columns};
 
 /// Things that change faster than a machine's parts, by a word of the column's name, in English and German.
-const FAST_CHANGING_WORDS: [&str; 20] = [
+const FAST_CHANGING_KEYWORDS: [&str; 20] = [
     "air",
     "ambient",
     "coolant",
@@ -31,7 +31,7 @@ const FAST_CHANGING_WORDS: [&str; 20] = [
 const MIN_PREFIX_LENGTH: usize = 4;
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
-    let used = required_columns(&machine.with_compensated_terms());
+    let used = required_columns(&machine.with_only_compensated_terms());
     let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
     let unstated =
         inputs.filter(|(name, input)| input.max_c_per_min.is_none() && used.contains(*name));
@@ -57,7 +57,7 @@ fn fast_changing_word(column: &str) -> Option<&'static str> {
         let part = part.trim_end_matches(|c: char| c.is_ascii_digit());
         part == word || (word.chars().count() >= MIN_PREFIX_LENGTH && part.starts_with(word))
     };
-    FAST_CHANGING_WORDS
+    FAST_CHANGING_KEYWORDS
         .into_iter()
         .find(|word| lower.split(['_', '-', ' ']).any(|part| is(part, word)))
 }

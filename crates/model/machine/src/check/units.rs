@@ -12,20 +12,20 @@
 //! shows is never refused.
 
 use super::{
-    range::{ImplausibleValue, Plausibility},
+    plausibility::{ImplausibleValue, Plausibility},
     thermal::looks_like_kelvin,
     warning::Warning,
 };
 use crate::{
     effect::Quantity,
-    file::Machine,
     keys::reader::is_temperature_column,
+    machine_file::Machine,
     model::required_columns,
-    run_file::{Column, RunFile},
+    run_file::{RunColumn, RunFile},
 };
 
 /// Rows that a statement about a whole column needs.
-const MIN_ROWS: usize = 3;
+const MIN_COLUMN_ROWS: usize = 3;
 /// The coldest that a thermometer of a spindle or an axis shows is not above this in °C: insulation of class E
 /// ends there (IEC 60085), and grease before it.
 const MAX_LOWEST_READING_C: f64 = 120.0;
@@ -57,7 +57,7 @@ const GAUGE_RESOLUTION_UM: f64 = 0.1;
 /// No error or growth has a wider range than this in µm; the board takes 4000.
 const MAX_ERROR_RANGE_UM: f64 = 20_000.0;
 /// A spindle that never turns faster than this in r/min has its speed in 1000 r/min.
-const MAX_KRPM: f64 = 40.0;
+const MAX_SPEED_KRPM: f64 = 40.0;
 
 /// Returns the columns of `run` that are in another unit than their names say; `others` are runs of the same machine that
 /// are read together with it.
@@ -67,7 +67,7 @@ pub(super) fn findings(
     others: &[RunFile],
 ) -> Vec<ImplausibleValue> {
     let of_laws: Vec<String> = machine.map(required_columns).unwrap_or_default();
-    let thermometers: Vec<&Column> =
+    let thermometers: Vec<&RunColumn> =
         run.columns().iter().filter(|column| is_temperature_column(&column.name)).collect();
     let mut findings = Vec::new();
     for column in &thermometers {
@@ -79,7 +79,7 @@ pub(super) fn findings(
         findings.extend(temperature_unit_finding(run, column, is_law, [is_requested, may_be_f]));
     }
     // What is no temperature says nothing of the clock.
-    let sound: Vec<&Column> = thermometers
+    let sound: Vec<&RunColumn> = thermometers
         .into_iter()
         .filter(|column| {
             findings.iter().all(|finding: &ImplausibleValue| finding.key != column.name)
@@ -120,12 +120,12 @@ fn value_range(values: &[f64]) -> Option<[f64; 2]> {
         range = [range[0].min(value), range[1].max(value)];
         rows += 1;
     }
-    (rows >= MIN_ROWS).then_some(range)
+    (rows >= MIN_COLUMN_ROWS).then_some(range)
 }
 
 fn temperature_unit_finding(
     run: &RunFile,
-    column: &Column,
+    column: &RunColumn,
     is_law: bool,
     [is_requested, may_be_f]: [bool; 2],
 ) -> Option<ImplausibleValue> {
@@ -172,7 +172,7 @@ fn temperature_unit_finding(
 
 /// Returns whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show
 /// what it would in °C. A column that is warm from the first row on is no °F next to them.
-fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
+fn may_be_fahrenheit(column: &RunColumn, thermometers: &[&RunColumn]) -> bool {
     let Some([least_f, most_f]) = value_range(&column.values) else { return true };
     let others = thermometers.iter().filter(|other| other.name != column.name);
     let in_c = others.filter_map(|other| value_range(&other.values));
@@ -187,7 +187,7 @@ fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
 /// Returns whether another run has the column, in °C beyond doubt, and up to where this one begins: a run of the warm
 /// end, next to that of the cold one. One that begins well below the other's end, and in °F where the other begins,
 /// may be the same cold start again.
-fn continues_celsius_run(column: &Column, others: &[RunFile]) -> bool {
+fn continues_celsius_run(column: &RunColumn, others: &[RunFile]) -> bool {
     let Some([coldest, _]) = value_range(&column.values) else { return false };
     let same = others.iter().filter_map(|run| value_range(run.column(&column.name)?));
     same.filter(|[least, _]| !IDLE_TEMPERATURE_RANGE_F.contains(least)).any(|[least_c, most_c]| {
@@ -207,7 +207,7 @@ fn is_machine_temperature(temperature_c: f64) -> bool {
     (coldest..=hottest).contains(&temperature_c)
 }
 
-fn time_unit_finding(run: &RunFile, thermometers: &[&Column]) -> Option<ImplausibleValue> {
+fn time_unit_finding(run: &RunFile, thermometers: &[&RunColumn]) -> Option<ImplausibleValue> {
     let time_s = run.column("time_s")?;
     let [_, last_s] = value_range(time_s)?;
     let ms = "times are in s: divide each by 1000";
@@ -284,7 +284,7 @@ fn longest_spindle_run_s(time_s: &[f64], rpm: &[f64]) -> f64 {
 /// Returns how long a smooth column takes through its range at its fastest, in s; `None` where it is not smooth, or its
 /// range is that of a hall.
 fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
-    const MIN_STEPS: usize = 100;
+    const MIN_CHECKED_STEPS: usize = 100;
     const MAX_MEAN_STEP_FRACTION: f64 = 0.03;
     const MIN_ROW_INTERVAL_S: f64 = 1_000.0;
     let [least, most] = value_range(values)?;
@@ -295,7 +295,7 @@ fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
         .filter(|(apart_s, step)| *apart_s > 0.0 && !step.is_nan())
         .collect();
     let mean = steps.iter().map(|(_, step)| step).sum::<f64>() / steps.len() as f64;
-    if steps.len() < MIN_STEPS
+    if steps.len() < MIN_CHECKED_STEPS
         || most - least < MIN_SELF_HEATING_K
         || mean > MAX_MEAN_STEP_FRACTION * (most - least)
     {
@@ -320,7 +320,7 @@ fn max_rate_c_per_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     rates.reduce(f64::max)
 }
 
-fn error_unit_finding(run: &RunFile, column: &Column) -> Option<ImplausibleValue> {
+fn error_unit_finding(run: &RunFile, column: &RunColumn) -> Option<ImplausibleValue> {
     let [least, most] = value_range(&column.values)?;
     let largest = least.abs().max(most.abs());
     if most - least > MAX_ERROR_RANGE_UM {
@@ -346,7 +346,7 @@ fn error_unit_finding(run: &RunFile, column: &Column) -> Option<ImplausibleValue
 
 fn speed_unit_finding(run: &RunFile) -> Option<ImplausibleValue> {
     let [_, most] = value_range(run.column("spindle_rpm")?)?;
-    (most > 0.0 && most <= MAX_KRPM).then(|| {
+    (most > 0.0 && most <= MAX_SPEED_KRPM).then(|| {
         let what = format!("is {most} at the most: that looks like 1000 r/min, not r/min");
         new_finding(run, "spindle_rpm", Plausibility::Unlikely, &what, "speeds are in r/min")
     })

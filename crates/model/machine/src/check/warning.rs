@@ -1,8 +1,8 @@
 //! Something in a file that can be, and hardly ever is.
 
 use crate::{
-    file::Machine,
     location::{InputFileError, Location},
+    machine_file::Machine,
 };
 
 /// Something in a file that can be, and hardly ever is.

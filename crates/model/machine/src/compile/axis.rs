@@ -3,9 +3,9 @@
 use trueup_core::{
     calibration,
     lag::SmoothingFactor,
-    pitch_table::Beam,
+    pitch_table::GantryBeam,
+    reversal::{self, Interval},
     thermal::ThermalExpansionLaw,
-    travel::{self, Interval},
     units::{FineNanometres, Position},
 };
 
@@ -15,11 +15,11 @@ use super::{
     part_differences::PartDifferences,
     pitch::{self, PitchTables, compile_pitch},
     squareness::{linear_axis_from_board, linear_axis_to_board},
-    thermal::{self, LawSegments},
+    thermal::{self, ThermalLawSegments},
 };
 use crate::{
-    file::{self, Machine},
     location::InputFileError,
+    machine_file::{self, Machine},
     sections::{Backlash, Feedback, LinearAxis, SecondDrive},
     unit_conversion::{
         FINE_UNITS_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32, to_user_value,
@@ -31,7 +31,7 @@ const SPEED_UNITS_PER_MM_PER_MIN: f64 = POSITION_UNITS_PER_MM / 60_000.0;
 
 /// The tables of one axis.
 pub(super) struct AxisTables {
-    law: LawSegments,
+    law: ThermalLawSegments,
     /// Of the lag, rising and falling.
     smoothing: [SmoothingFactor; 2],
     pitch: Option<PitchTables>,
@@ -39,38 +39,43 @@ pub(super) struct AxisTables {
 }
 
 pub(super) fn compile(
-    axis: &file::AxisModel,
+    axis: &machine_file::AxisModel,
     name: LinearAxis,
     falling_s: Option<f64>,
     account: &mut PartDifferences<'_>,
 ) -> Result<AxisTables, InputFileError> {
     let key = format!("axis.{}", name.name());
     let mut tables = AxisTables {
-        law: LawSegments::new(),
+        law: ThermalLawSegments::new(),
         smoothing: [SmoothingFactor::NO_LAG; 2],
         pitch: None,
         dual: None,
     };
     if let Some(thermal) = &axis.thermal {
-        tables.law = account
-            .check_and_record(&format!("{key}.thermal"), thermal::compile_axis_law(thermal))?;
+        tables.law = account.check_and_record_difference(
+            &format!("{key}.thermal"),
+            thermal::compile_axis_law(thermal),
+        )?;
         let factors =
             lag::smoothing_factors(thermal.lag_s, falling_s).map(|factors| (factors, 0.0));
-        tables.smoothing = account.check_and_record(&format!("{key}.thermal.lag_s"), factors)?;
+        tables.smoothing =
+            account.check_and_record_difference(&format!("{key}.thermal.lag_s"), factors)?;
     }
     if let Some(pitch) = &axis.pitch {
-        tables.pitch =
-            Some(account.check_and_record(&format!("{key}.pitch"), compile_pitch(pitch))?);
+        tables.pitch = Some(
+            account.check_and_record_difference(&format!("{key}.pitch"), compile_pitch(pitch))?,
+        );
     }
     if let Some(dual) = &axis.dual {
-        tables.dual = Some(
-            account.check_and_record(&format!("{key}.dual.pitch"), compile_pitch(&dual.pitch))?,
-        );
+        tables.dual = Some(account.check_and_record_difference(
+            &format!("{key}.dual.pitch"),
+            compile_pitch(&dual.pitch),
+        )?);
     }
     Ok(tables)
 }
 
-pub(super) fn axis_model<'t>(
+pub(super) fn compile_axis<'t>(
     machine: &Machine,
     number: usize,
     tables: &'t AxisTables,
@@ -104,7 +109,7 @@ pub(super) fn axis_model<'t>(
         (Some(dual), Some(pitch)) => {
             let first = position(&format!("{key}.dual.first_mm"), dual.first_mm)?;
             let second = position(&format!("{key}.dual.second_mm"), dual.second_mm)?;
-            let beam = Beam::new(first, second);
+            let beam = GantryBeam::new(first, second);
             Some(calibration::DualDrive {
                 across: linear_axis_to_board(dual.across),
                 beam,
@@ -113,7 +118,7 @@ pub(super) fn axis_model<'t>(
         }
         _ => None,
     };
-    let (mut backlash, mut travel) = (FineNanometres::ZERO, travel::ReversalConfig::default());
+    let (mut backlash, mut travel) = (FineNanometres::ZERO, reversal::ReversalConfig::default());
     if let Some(model) = &axis.backlash {
         let key = format!("{key}.backlash");
         backlash = round_to_i32(model.width_um * FINE_UNITS_PER_UM)
@@ -122,7 +127,7 @@ pub(super) fn axis_model<'t>(
                 let rule = format!("{} is beyond the board's ±8388 µm", model.width_um);
                 bad(format!("{key}.width_um"), rule)
             })?;
-        travel = travel::ReversalConfig {
+        travel = reversal::ReversalConfig {
             hysteresis: length(format!("{key}.hysteresis_um"), model.hysteresis_um / 1_000.0)?,
             ramp: Interval::new(length(format!("{key}.ramp_mm"), model.ramp_mm)?),
         };
@@ -139,11 +144,11 @@ pub(super) fn axis_model<'t>(
 }
 
 /// Returns the axis as a user writes it.
-pub(super) fn decompile(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
+pub(super) fn decompile(axis: &calibration::AxisModel<'_>) -> machine_file::AxisModel {
     let calibration::AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
     let has_backlash =
-        *backlash != FineNanometres::ZERO || *travel != travel::ReversalConfig::default();
-    file::AxisModel {
+        *backlash != FineNanometres::ZERO || *travel != reversal::ReversalConfig::default();
+    machine_file::AxisModel {
         feedback: Feedback::Screw,
         travel_mm: None,
         rapid_mm_per_min: (*rapid != 0).then(|| to_user_value(*rapid, SPEED_UNITS_PER_MM_PER_MIN)),

@@ -18,7 +18,7 @@
 //! Two segments share the point at their knot, and get the mean of their two values.
 
 use trueup_core::{
-    curve::{Curve, MAX_KNOTS_IN_BUCKET, Segment},
+    curve::{Curve, CurveSegment, MAX_KNOTS_IN_BUCKET},
     units::{FineNanometres, Position},
 };
 
@@ -30,7 +30,7 @@ use crate::{
 /// A curve whose tables are owned.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct OwnedCurve {
-    segments: Vec<[u8; trueup_core::curve::SEGMENT_SIZE]>,
+    segments: Vec<[u8; trueup_core::curve::CURVE_SEGMENT_SIZE]>,
     index: Vec<[u8; 2]>,
     first: Position,
     bucket_shift: u8,
@@ -77,7 +77,7 @@ pub(super) fn spline_pieces(spline: &BSpline) -> Result<Vec<CurvePiece<'_>>, Err
         if low == high {
             continue;
         }
-        let (start, end) = (mm_to_units(low)?, mm_to_units(high)?);
+        let (start, end) = (mm_to_position_units(low)?, mm_to_position_units(high)?);
         if start >= end {
             return Err(format!("has knots at {low} and {high} mm, closer than the board's 10 nm"));
         }
@@ -89,7 +89,7 @@ pub(super) fn spline_pieces(spline: &BSpline) -> Result<Vec<CurvePiece<'_>>, Err
     Ok(pieces)
 }
 
-fn mm_to_units(mm: f64) -> Result<i32, ErrorMessage> {
+fn mm_to_position_units(mm: f64) -> Result<i32, ErrorMessage> {
     round_to_i32(mm * POSITION_UNITS_PER_MM)
         .ok_or_else(|| format!("reaches {mm} mm, beyond the board's ±21474 mm"))
 }
@@ -126,7 +126,7 @@ pub(super) fn build_curve(pieces: &[CurvePiece<'_>]) -> Result<OwnedCurve, Error
         segments.iter().map(|segment| i64::from(segment.end.0) - i64::from(first.start)).collect();
     let (bucket_shift, index) = build_bucket_index(&ends)?;
     let mut curve = OwnedCurve {
-        segments: segments.iter().map(Segment::to_bytes).collect(),
+        segments: segments.iter().map(CurveSegment::to_bytes).collect(),
         index,
         first: Position(first.start),
         bucket_shift,
@@ -139,7 +139,7 @@ pub(super) fn build_curve(pieces: &[CurvePiece<'_>]) -> Result<OwnedCurve, Error
 /// The segment of a piece from `start` to `end`; where its coefficients do not fit, those of its
 /// halves. The knots stay where they are.
 fn add_segments(
-    segments: &mut Vec<Segment>,
+    segments: &mut Vec<CurveSegment>,
     piece: &CurvePiece<'_>,
     start: i32,
     end: i32,
@@ -147,7 +147,7 @@ fn add_segments(
     let length = end.abs_diff(start);
     // The knot at its start belongs to the segment before, except at the first.
     let reach = if segments.is_empty() { length } else { length.saturating_sub(1) };
-    let shift = Segment::shift_for_reach(reach);
+    let shift = CurveSegment::shift_for_reach(reach);
     let dyadic = 2_f64.powi(32 - i32::from(shift));
     // t runs backwards from the end.
     let place = |t: f64| f64::from(end) - (t + 1.0) / 2.0 * dyadic;
@@ -158,7 +158,7 @@ fn add_segments(
     // A high word halves: what meets it twice is stored twice as large, and so on.
     let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(round_to_i32);
     if let [Some(c0), Some(c1), Some(c2), Some(c3)] = stored {
-        let segment = Segment::new(Position(end), shift, [c0, c1, c2, c3]);
+        let segment = CurveSegment::new(Position(end), shift, [c0, c1, c2, c3]);
         if segment.is_valid_for_reach(reach) {
             segments.push(segment);
             return Ok(());
@@ -290,7 +290,7 @@ pub(super) fn decompile(curve: &Curve<'_>) -> BSpline {
     let mut knots_mm = vec![mm(start); 4];
     let mut control: Vec<f64> = Vec::new();
     for bytes in curve.segments() {
-        let segment = Segment::from_bytes(bytes);
+        let segment = CurveSegment::from_bytes(bytes);
         let [at_start, inner @ .., at_end] = bezier_points(&segment, start);
         match control.last_mut() {
             Some(shared) => *shared = (*shared + at_start) / 2.0,
@@ -317,7 +317,7 @@ pub(super) fn decompile_angle(curve: &Curve<'_>, lever_m: f64) -> BSpline {
 }
 
 /// Returns the Bézier points of a segment that begins at `start`, in [`FineNanometres`] units.
-fn bezier_points(segment: &Segment, start: i32) -> [f64; 4] {
+fn bezier_points(segment: &CurveSegment, start: i32) -> [f64; 4] {
     let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);
     let span = 2_f64.powi(32 - i32::from(segment.shift));
     let at_start = 2.0 * f64::from(segment.end.0.abs_diff(start)) / span - 1.0;

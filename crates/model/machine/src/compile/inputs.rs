@@ -4,21 +4,21 @@ use std::collections::BTreeMap;
 
 use trueup_core::{
     calibration::{InputSettings, MainsFrequency},
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    temperature_rate::MAX_RATE_DECIKELVIN_PER_MIN,
     term::{ConditionLevels, Effect, Term, Terms},
-    thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN,
     thermometer::Thermometer,
 };
 
 use crate::{
     effect::BoardTerm,
-    file::Machine,
     inputs::{
-        ConditionInput, CountScale, Inputs, LinearInput, MAX_TEMPERATURE_CHANNEL, SensorInput,
+        BoardInputs, ConditionInput, CountScale, LinearInput, MAX_TEMPERATURE_CHANNEL, SensorInput,
         TemperatureInput, TemperatureKind,
     },
     keys::reader::is_temperature_column,
     location::InputFileError,
+    machine_file::Machine,
     model::required_columns,
     unit_conversion::{
         TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, shortest_decimal, to_user_value,
@@ -69,7 +69,7 @@ pub fn missing_input_lines(machine: &Machine) -> Vec<String> {
         None => format!("# {name}: no channel is free"),
     };
     let missing =
-        required_columns(&machine.with_compensated_terms()).into_iter().filter(is_missing);
+        required_columns(&machine.with_only_compensated_terms()).into_iter().filter(is_missing);
     let mut lines: Vec<String> = missing.map(line).collect();
     lines.extend(missing_condition_lines(machine));
     if !lines.is_empty() && machine.inputs.is_none() {
@@ -96,7 +96,7 @@ fn missing_condition_lines(machine: &Machine) -> Vec<String> {
 }
 
 /// Returns the line of `[inputs]` for a condition, with the first bit that is free.
-pub(super) fn condition_input_line(inputs: Option<&Inputs>, column: &str) -> String {
+pub(super) fn condition_input_line(inputs: Option<&BoardInputs>, column: &str) -> String {
     match inputs.map_or(Some(0), first_free_condition_bit) {
         Some(bit) => format!("{column} = {{ kind = \"condition\", bit = {bit} }}"),
         None => format!("# {column}: no bit is free"),
@@ -109,9 +109,9 @@ pub(super) fn condition_column(bit: u8) -> String {
 }
 
 /// Returns the first bit that no condition has.
-pub(crate) fn first_free_condition_bit(inputs: &Inputs) -> Option<u8> {
+pub(crate) fn first_free_condition_bit(inputs: &BoardInputs) -> Option<u8> {
     let taken = |bit: &u8| inputs.conditions.values().any(|condition| condition.bit == *bit);
-    (0..trueup_core::dimensions::CONDITION_COUNT).find(|bit| !taken(bit))
+    (0..trueup_core::design_parameters::CONDITION_COUNT).find(|bit| !taken(bit))
 }
 
 /// Returns the columns of the conditions that the board follows.
@@ -130,8 +130,8 @@ pub(crate) fn board_condition_columns(machine: &Machine) -> Vec<String> {
 
 pub(super) fn compile_thermometers(
     machine: &Machine,
-) -> Result<[Option<Thermometer>; CHANNEL_COUNT], InputFileError> {
-    let mut thermometers = [None; CHANNEL_COUNT];
+) -> Result<[Option<Thermometer>; TEMPERATURE_CHANNEL_COUNT], InputFileError> {
+    let mut thermometers = [None; TEMPERATURE_CHANNEL_COUNT];
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let key = format!("inputs.{name}");
         let thermometer = match input.kind {
@@ -189,7 +189,8 @@ pub(super) fn compile_linear_thermometer(
     }
     let units = TEMPERATURE_UNITS_PER_KELVIN / (counts_per_c * SUBCOUNTS_PER_COUNT);
     let slope_at = |shift: u8| round_to_i32(units * 2_f64.powi(shift.into()));
-    let shift = (0..=Thermometer::MAX_SHIFT).rev().find(|&shift| slope_at(shift).is_some())?;
+    let shift =
+        (0..=Thermometer::MAX_SLOPE_SHIFT).rev().find(|&shift| slope_at(shift).is_some())?;
     let slope = slope_at(shift)?;
     let zero = round_to_i32(zero_counts * SUBCOUNTS_PER_COUNT)?;
     Some(Thermometer::Linear { zero, slope, shift })
@@ -198,10 +199,10 @@ pub(super) fn compile_linear_thermometer(
 /// Returns the inputs that a calibration knows; `None` where nothing is connected.
 pub(super) fn decompile(
     has_sensor: bool,
-    thermometers: &[Option<Thermometer>; CHANNEL_COUNT],
+    thermometers: &[Option<Thermometer>; TEMPERATURE_CHANNEL_COUNT],
     guards: &InputSettings,
     terms: &Terms<'_>,
-) -> Option<Inputs> {
+) -> Option<BoardInputs> {
     let of_term = |term: &Term<'_>| match term.effect {
         Effect::Condition(ConditionLevels { bit, default, .. }) => {
             Some((condition_column(bit), ConditionInput { bit, default }))
@@ -231,7 +232,7 @@ pub(super) fn decompile(
     let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
     let is_connected = is_connected || mains != MainsFrequency::default();
     let is_connected = is_connected || !conditions.is_empty();
-    is_connected.then_some(Inputs { sensor, temperatures, conditions, service_switch, mains })
+    is_connected.then_some(BoardInputs { sensor, temperatures, conditions, service_switch, mains })
 }
 
 /// A calibration holds channels, not the names of columns.

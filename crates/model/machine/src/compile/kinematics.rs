@@ -5,12 +5,12 @@ use trueup_core::{
     tool_direction::ToolDirection,
 };
 
-use crate::{file::MachineKind, sections::RotaryAxis, unit_conversion::round_to_i32};
+use crate::{machine_file::MachineKind, sections::RotaryAxis, unit_conversion::round_to_i32};
 
 /// Returns the tool's direction and the axes that turn it, on the board.
 pub(super) fn compile(tool_direction: [f64; 3], head_axes: &[RotaryAxis]) -> Kinematics {
     Kinematics {
-        zero: compile_direction(tool_direction),
+        zero: compile_tool_direction(tool_direction),
         axes: std::array::from_fn(|n| head_axes.get(n).map(|axis| rotary_axis_to_board(*axis))),
     }
 }
@@ -33,7 +33,7 @@ pub(super) fn rotary_axis_from_board(axis: kinematics::RotaryAxis) -> RotaryAxis
     }
 }
 
-fn compile_direction(tool_direction: [f64; 3]) -> ToolDirection {
+fn compile_tool_direction(tool_direction: [f64; 3]) -> ToolDirection {
     let stored = |component: f64| round_to_i32(component * f64::from(ToolDirection::ONE));
     // A component is at most 1 in magnitude, give or take the last bit of an f64: it always fits.
     ToolDirection(tool_direction.map(|component| stored(component).expect("a length of 1")))
@@ -54,11 +54,11 @@ pub(super) fn decompile(
         1 => MachineKind::HeadTable,
         _ => MachineKind::HeadHead,
     };
-    (kind, axes, decompile_direction(kinematics.zero))
+    (kind, axes, decompile_tool_direction(kinematics.zero))
 }
 
 /// Returns the direction with the fewest decimals that is stored as `stored` again.
-fn decompile_direction(stored: ToolDirection) -> [f64; 3] {
+fn decompile_tool_direction(stored: ToolDirection) -> [f64; 3] {
     const MAX_DECIMALS: i32 = 12;
     let unit = unit_vector_near(stored);
     (0..=MAX_DECIMALS)

@@ -1,6 +1,6 @@
 //! First-order lags: a time constant and the share of a step that the board takes every 100 ms.
 
-use trueup_core::{dimensions::THERMAL_STEP_MS, lag::SmoothingFactor};
+use trueup_core::{design_parameters::THERMAL_STEP_MS, lag::SmoothingFactor};
 
 use super::curve::ErrorMessage;
 use crate::unit_conversion::{round_to_u32, shortest_decimal};

@@ -1,14 +1,14 @@
 //! How far and how fast an offset may go, and how long silence is tolerated.
 
-use trueup_core::{learned::LearnedLimits, limits::Limits, units::Nanometres};
+use trueup_core::{learned::LearnedLimits, limits::CompensationLimits, units::Nanometres};
 use trueup_store::calibration::{
     MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S,
     MAX_SLEW_NM_PER_S,
 };
 
 use crate::{
-    file::{self, Machine},
     location::InputFileError,
+    machine_file::{self, Machine},
     sections::LinearAxis,
     unit_conversion::{NM_PER_UM, round_to_i32, round_to_u32},
 };
@@ -18,7 +18,7 @@ const LEARNED_LIMIT_STEPS_PER_UNIT: f64 = 10.0;
 
 /// Returns the limits on the board.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 0…255 first")]
-pub(super) fn compile(machine: &Machine) -> Result<Limits, InputFileError> {
+pub(super) fn compile(machine: &Machine) -> Result<CompensationLimits, InputFileError> {
     let limits = &machine.limits;
     let mut max = [Nanometres::ZERO; 3];
     for ((stored, axis), max_um) in max.iter_mut().zip(LinearAxis::ALL).zip(limits.max_um) {
@@ -76,7 +76,7 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, InputFileError> {
         axes: cap("axes_percent", limits.learned.axes_percent, MAX_LEARNED_LIMITS.axes)?,
         zero: cap("zero_um", limits.learned.zero_um, MAX_LEARNED_LIMITS.zero)?,
     };
-    Ok(Limits {
+    Ok(CompensationLimits {
         max,
         slew_nm_per_s,
         link_timeout_ms: limits.link_timeout_ms,
@@ -87,14 +87,14 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, InputFileError> {
 }
 
 /// Returns the limits as a user writes them.
-pub(super) fn decompile(limits: &Limits) -> file::Limits {
-    file::Limits {
+pub(super) fn decompile(limits: &CompensationLimits) -> machine_file::Limits {
+    machine_file::Limits {
         max_um: limits.max.map(|max| f64::from(max.0) / NM_PER_UM),
         slew_um_per_s: f64::from(limits.slew_nm_per_s) / NM_PER_UM,
         link_timeout_ms: limits.link_timeout_ms,
         hold_ms: limits.hold_ms,
         rejoin_um_per_s: f64::from(limits.rejoin_nm_per_s) / NM_PER_UM,
-        learned: file::LearnedChangeLimits {
+        learned: machine_file::LearnedChangeLimits {
             growth_percent: f64::from(limits.learned.growth) / LEARNED_LIMIT_STEPS_PER_UNIT,
             axes_percent: f64::from(limits.learned.axes) / LEARNED_LIMIT_STEPS_PER_UNIT,
             zero_um: f64::from(limits.learned.zero) / LEARNED_LIMIT_STEPS_PER_UNIT,

@@ -3,7 +3,7 @@
 use trueup_core::{calibration::MachineIdentity, units::Temperature};
 use trueup_store::calibration::MAX_COLD_TOLERANCE;
 
-use crate::{file::Machine, location::InputFileError, unit_conversion::round_to_i32};
+use crate::{location::InputFileError, machine_file::Machine, unit_conversion::round_to_i32};
 
 const UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
 
@@ -17,7 +17,7 @@ pub(super) fn compile_identity(machine: &Machine) -> MachineIdentity<'_> {
 }
 
 /// Returns a name as a user writes it; `None`: there is none.
-pub(super) fn decompile_name(stored: &[u8]) -> Option<String> {
+pub(super) fn decode_name(stored: &[u8]) -> Option<String> {
     Some(String::from_utf8_lossy(stored).into_owned()).filter(|text| !text.trim().is_empty())
 }
 

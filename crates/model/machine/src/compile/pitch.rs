@@ -2,12 +2,12 @@
 
 use trueup_core::{
     pitch_table::PitchErrorTable,
-    travel::{Fraction, Interval},
+    reversal::{Fraction, Interval},
     units::Position,
 };
 
 use crate::{
-    file, model,
+    machine_file, model,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32,
         to_user_value,
@@ -34,7 +34,9 @@ impl PitchTables {
 }
 
 /// Returns a pitch table, and its largest difference from the model in nm.
-pub(super) fn compile_pitch(pitch: &file::PitchErrorTable) -> Result<(PitchTables, f64), String> {
+pub(super) fn compile_pitch(
+    pitch: &machine_file::PitchErrorTable,
+) -> Result<(PitchTables, f64), String> {
     let start = round_to_i32(pitch.start_mm * POSITION_UNITS_PER_MM)
         .map(Position)
         .ok_or_else(|| format!("starts at {} mm, beyond the board's ±21474 mm", pitch.start_mm))?;
@@ -60,7 +62,7 @@ pub(super) fn compile_pitch(pitch: &file::PitchErrorTable) -> Result<(PitchTable
 }
 
 /// At every point and at places between, from both sides.
-fn pitch_difference_nm(pitch: &file::PitchErrorTable, board: &PitchErrorTable<'_>) -> f64 {
+fn pitch_difference_nm(pitch: &machine_file::PitchErrorTable, board: &PitchErrorTable<'_>) -> f64 {
     const SAMPLES_PER_INTERVAL: usize = 8;
     let mut worst: f64 = 0.0;
     for place in 0..=(pitch.forward_um.len() - 1) * SAMPLES_PER_INTERVAL {
@@ -78,14 +80,14 @@ fn pitch_difference_nm(pitch: &file::PitchErrorTable, board: &PitchErrorTable<'_
 }
 
 /// Returns the table as a user writes it.
-pub(super) fn decompile(pitch: &PitchErrorTable<'_>) -> file::PitchErrorTable {
+pub(super) fn decompile(pitch: &PitchErrorTable<'_>) -> machine_file::PitchErrorTable {
     let errors = |points: &[[u8; 4]]| -> Vec<f64> {
         points
             .iter()
             .map(|point| to_user_value(i32::from_le_bytes(*point), FINE_UNITS_PER_UM))
             .collect()
     };
-    file::PitchErrorTable {
+    machine_file::PitchErrorTable {
         start_mm: to_user_value(pitch.start.0, POSITION_UNITS_PER_MM),
         step_mm: to_user_value(pitch.step.length(), POSITION_UNITS_PER_MM),
         forward_um: errors(pitch.forward),

@@ -9,22 +9,22 @@
 //!
 //! The stored law is linear, as the model is, so the largest difference between the two over the
 //! input range is at one of its ends. It is measured at both for every calibration and refused
-//! above [`MAX_DIFFERENCE_NM`]. Measured: 0 nm for the paper's sensor, whose constants are
+//! above [`MAX_MODEL_DIFFERENCE_NM`]. Measured: 0 nm for the paper's sensor, whose constants are
 //! exact here, and at most 0.506 nm over 200 000 random sensors with the zero reading in range, of
 //! which 0.5 nm is K's rounding (`the_stored_law_is_within_0_51_nm_…`). When the board
 //! runs the law, it adds the rounding of the reading (half a unit, 0.06 nm for the paper's sensor) and of
 //! the result (half a nanometre).
 
 use trueup_core::{
-    sensor::{SensorLaw, SensorSlope},
-    units::{Nanometres, READING_UNITS_PER_CODE, Reading},
+    displacement_sensor::{SensorLaw, SensorSlope},
+    units::{Nanometres, READING_UNITS_PER_CODE, SensorReading},
 };
 
-use super::part_differences::MAX_DIFFERENCE_NM;
+use super::part_differences::MAX_MODEL_DIFFERENCE_NM;
 use crate::{
-    file::Machine,
     inputs::SensorInput,
     location::InputFileError,
+    machine_file::Machine,
     model,
     sections::SensorModel,
     unit_conversion::{NM_PER_UM, round_to_i32},
@@ -74,13 +74,14 @@ pub(super) fn compile(
         let rule = format!("{} is beyond the board's ±2147483 µm", model.k0_um);
         machine.places.key_error("spindle.sensor.k0_um", rule)
     })?;
-    let law = SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: SensorSlope(slope) };
+    let law =
+        SensorLaw { k0: Nanometres(k0), zero: SensorReading(zero), slope: SensorSlope(slope) };
 
     let largest_difference_nm = max_difference_nm(&law, model, &input);
-    if largest_difference_nm > MAX_DIFFERENCE_NM {
+    if largest_difference_nm > MAX_MODEL_DIFFERENCE_NM {
         let rule = format!(
             "{} is so far outside the input range that the board's law would be \
-             {largest_difference_nm:.1} nm off, more than {MAX_DIFFERENCE_NM} nm",
+             {largest_difference_nm:.1} nm off, more than {MAX_MODEL_DIFFERENCE_NM} nm",
             model.zero_counts
         );
         return Err(machine.places.key_error("spindle.sensor.zero_counts", rule));

@@ -16,8 +16,8 @@ use std::f64::consts::TAU;
 use super::curve::{spline_pieces, steepest_slope};
 use crate::{
     effect::{BoardTerm, Effect, Multiplier},
-    file::Machine,
     location::InputFileError,
+    machine_file::Machine,
     sections::{AngleProfile, Limits, LinearAxis, PitchErrorTable},
     spline::BSpline,
 };
@@ -55,7 +55,7 @@ pub fn max_slope_um_per_mm(limits: &Limits) -> f64 {
 
 /// Returns the rule that a slope breaks on a board with these limits; none that it keeps.
 #[must_use]
-pub(crate) fn slope_violation(slope: SlopeAtPosition, limits: &Limits) -> Option<String> {
+pub(crate) fn describe_slope_violation(slope: SlopeAtPosition, limits: &Limits) -> Option<String> {
     let SlopeAtPosition { um_per_mm, at_mm } = slope;
     let most = max_slope_um_per_mm(limits);
     (um_per_mm.abs() > most).then(|| {
@@ -178,7 +178,7 @@ pub fn check_slopes(machine: &Machine) -> Result<(), InputFileError> {
     );
     match parts
         .iter()
-        .find_map(|(key, slope)| Some((key, slope_violation(*slope, &machine.limits)?)))
+        .find_map(|(key, slope)| Some((key, describe_slope_violation(*slope, &machine.limits)?)))
     {
         Some((key, rule)) => Err(machine.places.key_error(key, rule)),
         None => Ok(()),

@@ -1,7 +1,8 @@
 //! How the spindle grows: its source, and what the board falls back to.
 
 use trueup_core::{
-    calibration, lag::SmoothingFactor, sensor::SensorLaw, thermal::ThermalExpansionLaw, warmup,
+    calibration, displacement_sensor::SensorLaw, lag::SmoothingFactor,
+    thermal::ThermalExpansionLaw, warmup,
 };
 
 use super::{
@@ -10,12 +11,12 @@ use super::{
     lag,
     part_differences::PartDifferences,
     sensor,
-    thermal::{self, LawSegments},
+    thermal::{self, ThermalLawSegments},
     warmup as warm_up,
 };
 use crate::{
-    file::{self, Machine},
     location::InputFileError,
+    machine_file::{self, Machine},
     sections::Spindle,
 };
 
@@ -23,7 +24,7 @@ use crate::{
 pub(super) struct SpindleTables {
     sensor: SensorLaw,
     /// With the smoothing factors of its lag, rising and falling.
-    temperature: Option<(LawSegments, [SmoothingFactor; 2])>,
+    temperature: Option<(ThermalLawSegments, [SmoothingFactor; 2])>,
     warmup: Option<(warmup::WarmupModel, OwnedCurve)>,
 }
 
@@ -43,14 +44,14 @@ impl SpindleTables {
         let temperature = spindle.temperature.as_ref().map(|model| {
             let key = "spindle.temperature";
             let law = thermal::compile_spindle_law(model.k_um_per_c, model.reference_c);
-            let law = account.check_and_record(key, law.map(|law| (law, 0.0)))?;
+            let law = account.check_and_record_difference(key, law.map(|law| (law, 0.0)))?;
             let factors =
                 lag::smoothing_factors(model.lag_s, falling_s).map(|factors| (factors, 0.0));
-            Ok((law, account.check_and_record(&format!("{key}.lag_s"), factors)?))
+            Ok((law, account.check_and_record_difference(&format!("{key}.lag_s"), factors)?))
         });
         let warmup = spindle.warmup.as_ref().map(|model| {
             let made = warm_up::compile(model);
-            account.check_and_record("spindle.warmup", made.map(|made| (made, 0.0)))
+            account.check_and_record_difference("spindle.warmup", made.map(|made| (made, 0.0)))
         });
         Ok(Self { sensor: law, temperature: temperature.transpose()?, warmup: warmup.transpose()? })
     }
@@ -72,7 +73,11 @@ impl SpindleTables {
                         law,
                     }),
                     // A fall-back whose thermometer is not connected is none.
-                    Err(_) if spindle.source != Some(file::ElongationSource::Temperature) => None,
+                    Err(_)
+                        if spindle.source != Some(machine_file::ElongationSource::Temperature) =>
+                    {
+                        None
+                    }
                     Err(error) => return Err(error),
                 }
             }
@@ -83,21 +88,23 @@ impl SpindleTables {
             .as_ref()
             .map(|(law, power)| calibration::SpindleWarmupModel { law: *law, power: power.view() });
         let board = |source| match source {
-            file::ElongationSource::Sensor => calibration::ElongationSource::Sensor,
-            file::ElongationSource::Temperature => calibration::ElongationSource::Temperature,
-            file::ElongationSource::Warmup => calibration::ElongationSource::Warmup,
+            machine_file::ElongationSource::Sensor => calibration::ElongationSource::Sensor,
+            machine_file::ElongationSource::Temperature => {
+                calibration::ElongationSource::Temperature
+            }
+            machine_file::ElongationSource::Warmup => calibration::ElongationSource::Warmup,
         };
         let mut chain = [None; 3];
         if let Some(first) = spindle.source {
-            let there = |source: &file::ElongationSource| match source {
-                file::ElongationSource::Sensor => self.sensor != SensorLaw::default(),
-                file::ElongationSource::Temperature => temperature.is_some(),
-                file::ElongationSource::Warmup => warmup.is_some(),
+            let there = |source: &machine_file::ElongationSource| match source {
+                machine_file::ElongationSource::Sensor => self.sensor != SensorLaw::default(),
+                machine_file::ElongationSource::Temperature => temperature.is_some(),
+                machine_file::ElongationSource::Warmup => warmup.is_some(),
             };
             let others = [
-                file::ElongationSource::Sensor,
-                file::ElongationSource::Temperature,
-                file::ElongationSource::Warmup,
+                machine_file::ElongationSource::Sensor,
+                machine_file::ElongationSource::Temperature,
+                machine_file::ElongationSource::Warmup,
             ]
             .into_iter();
             let others = others.filter(|&source| source != first).filter(there);
@@ -118,9 +125,9 @@ pub(super) fn has_sensor(spindle: &calibration::SpindleModel<'_>) -> bool {
 /// Returns the spindle as a user writes it.
 pub(super) fn decompile(spindle: &calibration::SpindleModel<'_>) -> Spindle {
     let source = |source: calibration::ElongationSource| match source {
-        calibration::ElongationSource::Sensor => file::ElongationSource::Sensor,
-        calibration::ElongationSource::Temperature => file::ElongationSource::Temperature,
-        calibration::ElongationSource::Warmup => file::ElongationSource::Warmup,
+        calibration::ElongationSource::Sensor => machine_file::ElongationSource::Sensor,
+        calibration::ElongationSource::Temperature => machine_file::ElongationSource::Temperature,
+        calibration::ElongationSource::Warmup => machine_file::ElongationSource::Warmup,
     };
     Spindle {
         source: spindle.chain[0].map(source),

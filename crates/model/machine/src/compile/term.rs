@@ -12,7 +12,7 @@ mod decompile;
 use std::borrow::Cow;
 
 use trueup_core::{
-    dimensions::MAX_TERMS,
+    design_parameters::MAX_TERMS,
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
     pitch_table::PitchErrorTable,
@@ -34,8 +34,8 @@ use crate::{
         BoardTerm, PredictionStage, SpeedHeatResponse, TemperatureResponse, Tilt, Wave,
         relative_heat_input,
     },
-    file::{self, Machine, sorted_by_stage},
     location::InputFileError,
+    machine_file::{self, Machine, sorted_by_stage},
     sections::AngleProfile,
     spline::BSpline,
     unit_conversion::{
@@ -65,7 +65,7 @@ pub(super) struct OwnedTerm {
 enum OwnedEffect {
     Plain(Effect<'static>),
     Table(PitchTables),
-    Curve(file::LinearAxis, OwnedCurve),
+    Curve(machine_file::LinearAxis, OwnedCurve),
     Tilt(term::Tilt<OwnedCurve>),
     Tools(category::OwnedToolTable),
 }
@@ -101,21 +101,22 @@ pub(super) fn compile_terms(
     let mut owned = Vec::new();
     let ordered = sorted_by_stage(&machine.terms);
     // Of a quantity's terms the last that is no summand, and with it the constants of all of them.
-    let acts_before_sums = |term: &file::Term| term.effect.stage() < PredictionStage::Sum;
+    let acts_before_sums = |term: &machine_file::Term| term.effect.stage() < PredictionStage::Sum;
     let last_before_sums = |quantity| {
         let mut latest = ordered.iter().rev();
         latest.find(|(_, term)| term.quantity == quantity && acts_before_sums(term))
     };
-    let constant_um = |index: usize, term: &file::Term| match last_before_sums(term.quantity) {
-        Some((last, _)) if *last == index => {
-            let before = ordered.iter().map(|(_, other)| other);
-            let before =
-                before.filter(|other| other.quantity == term.quantity && acts_before_sums(other));
-            before.map(|other| other.constant_um).sum()
-        }
-        _ if acts_before_sums(term) => 0.0,
-        _ => term.constant_um,
-    };
+    let constant_um =
+        |index: usize, term: &machine_file::Term| match last_before_sums(term.quantity) {
+            Some((last, _)) if *last == index => {
+                let before = ordered.iter().map(|(_, other)| other);
+                let before = before
+                    .filter(|other| other.quantity == term.quantity && acts_before_sums(other));
+                before.map(|other| other.constant_um).sum()
+            }
+            _ if acts_before_sums(term) => 0.0,
+            _ => term.constant_um,
+        };
     for &(index, term) in &ordered {
         // The growth by tool is the last.
         let is_list = machine.spindle.tools.is_some() && index + 1 == machine.terms.len();
@@ -127,8 +128,10 @@ pub(super) fn compile_terms(
         let forms = term.effect.board_terms();
         let offset_um: f64 =
             forms.iter().map(|form| if let BoardTerm::Offset(um) = form { *um } else { 0.0 }).sum();
-        let constant =
-            account.check_and_record(&key, compile_length(constant_um(index, term) + offset_um))?;
+        let constant = account.check_and_record_difference(
+            &key,
+            compile_length(constant_um(index, term) + offset_um),
+        )?;
         let before = owned.len();
         for form in &forms {
             let Some(effect) = compile_effect(machine, &key, term, form, account)? else {
@@ -177,7 +180,7 @@ pub(super) fn with_thermal_laws(
 fn compile_effect(
     machine: &Machine,
     key: &str,
-    term: &file::Term,
+    term: &machine_file::Term,
     form: &BoardTerm,
     account: &mut PartDifferences<'_>,
 ) -> Result<Option<OwnedEffect>, InputFileError> {
@@ -189,8 +192,8 @@ fn compile_effect(
                 .map(|(m, nm)| (Effect::Gain(m), nm))
         }
         BoardTerm::Curvature(per_um) => {
-            let square = (MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM).powi(2) / Q24_ONE;
-            scale_coefficient(per_um / FINE_UNITS_PER_UM * Q24_ONE, square)
+            let square = (MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM).powi(2) / ONE_Q24;
+            scale_coefficient(per_um / FINE_UNITS_PER_UM * ONE_Q24, square)
                 .map(|(m, nm)| (Effect::Curvature(m), nm))
         }
         BoardTerm::Saturation(limit_um) => {
@@ -225,9 +228,9 @@ fn compile_effect(
         .map(|(m, nm)| (Effect::Load(m), nm)),
         BoardTerm::OwnPosition(um_per_m) => {
             let own = term.quantity.axis().ok_or("belongs to dx, dy or dz");
-            own.map_err(String::from).and_then(|own| compile_position(own, *um_per_m))
+            own.map_err(String::from).and_then(|own| compile_position_effect(own, *um_per_m))
         }
-        BoardTerm::Position { axis, um_per_m } => compile_position(*axis, *um_per_m),
+        BoardTerm::Position { axis, um_per_m } => compile_position_effect(*axis, *um_per_m),
         BoardTerm::Reversed { width_um, um_per_m: 0.0 } => compile_length(*width_um)
             .map(|(width, nm)| (Effect::Reversed { width, gradient: Gradient::ZERO }, nm)),
         BoardTerm::Reversed { width_um, um_per_m } => {
@@ -238,20 +241,20 @@ fn compile_effect(
         }
         BoardTerm::Table(pitch) => {
             return Ok(Some(OwnedEffect::Table(
-                account.check_and_record(key, compile_pitch(pitch))?,
+                account.check_and_record_difference(key, compile_pitch(pitch))?,
             )));
         }
         BoardTerm::Curve(along, spline) => {
-            let curve = account.check_and_record(key, compile_curve(spline))?;
+            let curve = account.check_and_record_difference(key, compile_curve(spline))?;
             return Ok(Some(OwnedEffect::Curve(*along, curve)));
         }
         BoardTerm::Tilt(it) => {
             let own = term.quantity.axis();
-            return Ok(Some(account.check_and_record(key, compile_tilt(own, it))?));
+            return Ok(Some(account.check_and_record_difference(key, compile_tilt(own, it))?));
         }
         BoardTerm::Tool { tools, other, times } => {
-            let made = category::compile_tools(tools, *other, times);
-            return Ok(Some(account.check_and_record(key, made)?));
+            let made = category::compile_tool_table(tools, *other, times);
+            return Ok(Some(account.check_and_record_difference(key, made)?));
         }
         BoardTerm::Condition { column, off, on, lag_s, times } => {
             let inputs = machine.inputs.as_ref();
@@ -262,7 +265,7 @@ fn compile_effect(
             compile_wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })
         }
     };
-    Ok(Some(OwnedEffect::Plain(account.check_and_record(key, made)?)))
+    Ok(Some(OwnedEffect::Plain(account.check_and_record_difference(key, made)?)))
 }
 
 fn compile_heat_effect(channel: u8, it: &TemperatureResponse) -> CompileResult<Effect<'static>> {
@@ -311,7 +314,7 @@ fn compile_speed_heat(it: &SpeedHeatResponse) -> CompileResult<Effect<'static>> 
 /// The position in m at which a slope by heat is its coefficient.
 const HEAT_SLOPE_REFERENCE_M: f64 =
     (1_u64 << HEAT_SLOPE_BITS) as f64 / POSITION_UNITS_PER_MM / 1_000.0;
-pub(crate) const Q24_ONE: f64 = (1_u64 << 24) as f64;
+pub(crate) const ONE_Q24: f64 = (1_u64 << 24) as f64;
 
 /// Returns a length, and its rounding in nm.
 pub(super) fn compile_length(um: f64) -> CompileResult<FineNanometres> {
@@ -338,7 +341,10 @@ pub(crate) fn scale_coefficient(value: f64, largest: f64) -> CompileResult<Scale
     Ok((stored, off.abs() * largest / FINE_UNITS_PER_UM * NM_PER_UM))
 }
 
-fn compile_position(axis: file::LinearAxis, um_per_m: f64) -> CompileResult<Effect<'static>> {
+fn compile_position_effect(
+    axis: machine_file::LinearAxis,
+    um_per_m: f64,
+) -> CompileResult<Effect<'static>> {
     compile_squareness(um_per_m)
         .map(|(gradient, nm)| (Effect::Position { axis: linear_axis_to_board(axis), gradient }, nm))
 }
@@ -350,7 +356,7 @@ pub(crate) const REFERENCE_LEVER_M: f64 =
 pub(crate) const MAX_LEVER_RATIO: f64 = 15.0 / REFERENCE_LEVER_M;
 
 /// Returns a tilt of the own axis or another.
-fn compile_tilt(own: Option<file::LinearAxis>, it: &Tilt) -> CompileResult<OwnedEffect> {
+fn compile_tilt(own: Option<machine_file::LinearAxis>, it: &Tilt) -> CompileResult<OwnedEffect> {
     let Tilt { along, lever, origin_mm, ref angle } = *it;
     let along = linear_axis_to_board(along.or(own).ok_or("belongs to dx, dy or dz")?);
     let lever = linear_axis_to_board(lever);

@@ -2,11 +2,11 @@ use std::path::Path;
 
 use trueup_core::{
     calibration::{self, STRAIGHTNESS_AXIS_PAIRS},
+    displacement_sensor::{SensorLaw, SensorSlope},
     kinematics::RotaryAxis,
     learned::LearnedLimits,
-    sensor::{SensorLaw, SensorSlope},
     tool_direction::ToolDirection,
-    units::{Nanometres, Position, Reading, Temperature},
+    units::{Nanometres, Position, SensorReading, Temperature},
 };
 
 use super::{inputs::compile_linear_thermometer, *};
@@ -31,7 +31,7 @@ fn the_papers_constants_are_exact_in_the_boards_integers() {
     let compiled = compile(&paper()).expect("the paper's sensor fits");
     // 500 000 nm over 2²² reading units, times 2²⁸.
     assert_eq!(compiled.calibration().spindle.sensor.slope, SensorSlope(32_000_000));
-    assert_eq!(compiled.calibration().spindle.sensor.zero, Reading(5048 * 128));
+    assert_eq!(compiled.calibration().spindle.sensor.zero, SensorReading(5048 * 128));
     assert_eq!(compiled.calibration().spindle.sensor.k0, Nanometres(0));
     assert_eq!(compiled.calibration().kinematics.zero, ToolDirection::DOWN);
     assert!(compiled.largest_difference_nm < 1e-9);
@@ -46,7 +46,7 @@ fn behind_the_divider_of_the_wiring_the_constants_are_the_nearest_integers() {
         MachineFile::parse(text, Path::new("paper.toml")).expect("the project's own file");
     let compiled = compile(&machine).expect("the paper's sensor fits");
     let sensor = compiled.calibration().spindle.sensor;
-    assert_eq!((sensor.slope, sensor.zero), (SensorSlope(32_195_122), Reading(642_228)));
+    assert_eq!((sensor.slope, sensor.zero), (SensorSlope(32_195_122), SensorReading(642_228)));
     // 0.05 of the slope's unit over the whole range, 0.8 pm; 0.02 of the zero's, 2.4 pm.
     assert!(compiled.largest_difference_nm < 0.01, "{}", compiled.largest_difference_nm);
 }
@@ -280,14 +280,14 @@ fn the_blob_is_what_the_board_reads() {
 
 #[test]
 fn counts_of_a_linear_thermometer_are_read_to_a_tenth_of_a_millikelvin() {
-    use trueup_core::thermometer::RawReading;
+    use trueup_core::thermometer::RawTemperatureReading;
     for (zero, per_c) in [(4000.0, 16.0), (-300.5, -27.3), (0.0, 0.011), (12.25, 9_999.0)] {
         let thermometer = compile_linear_thermometer(zero, per_c).expect("within the rule");
         for step in 0..=100 {
             let celsius = f64::from(step) - 20.0;
             let raw = ((zero + celsius * per_c) * 256.0).round();
             let exact_c = (raw / 256.0 - zero) / per_c;
-            let Ok(read) = thermometer.convert(RawReading(raw as i32)) else { continue };
+            let Ok(read) = thermometer.convert(RawTemperatureReading(raw as i32)) else { continue };
             let off_mk = f64::from(read.0) / f64::from(4_096) - exact_c * 1_000.0;
             assert!(off_mk.abs() < 0.1, "{zero} {per_c}: {off_mk} mK at {celsius} °C");
         }

@@ -3,7 +3,7 @@
 use trueup_core::{
     calibration::{AxisThermalModel, SpindleTemperatureModel},
     gradient::Gradient,
-    thermal::{LAW_SEGMENT_SIZE, LawSegment, ThermalExpansionLaw},
+    thermal::{THERMAL_LAW_SEGMENT_SIZE, ThermalExpansionLaw, ThermalLawSegment},
     units::{FineNanometres, Position, Temperature},
 };
 
@@ -18,12 +18,12 @@ use crate::{
 };
 
 /// Within these temperatures a law is held against the model.
-const CHECKED_RANGE_C: (i32, i32) = (-20, 100);
+const CHECKED_TEMPERATURE_RANGE_C: (i32, i32) = (-20, 100);
 /// So far from its origin.
 const MAX_CHECKED_DISTANCE_MM: f64 = 15_000.0;
 
 /// The pieces of a law.
-pub(super) type LawSegments = Vec<[u8; LAW_SEGMENT_SIZE]>;
+pub(super) type ThermalLawSegments = Vec<[u8; THERMAL_LAW_SEGMENT_SIZE]>;
 
 /// Returns a temperature in the board's unit.
 pub(super) fn temperature_from_celsius(celsius: f64) -> Option<Temperature> {
@@ -31,7 +31,9 @@ pub(super) fn temperature_from_celsius(celsius: f64) -> Option<Temperature> {
 }
 
 /// Returns the law of an axis, and its largest difference from the model in nm.
-pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawSegments, f64), ErrorMessage> {
+pub(super) fn compile_axis_law(
+    thermal: &ThermalLaw,
+) -> Result<(ThermalLawSegments, f64), ErrorMessage> {
     let rows;
     let table: &[ThermalRow] = match &thermal.table {
         Some(table) => table,
@@ -72,7 +74,7 @@ pub(super) fn compile_axis_law(thermal: &ThermalLaw) -> Result<(LawSegments, f64
 pub(super) fn compile_spindle_law(
     k_um_per_c: f64,
     reference_c: f64,
-) -> Result<LawSegments, ErrorMessage> {
+) -> Result<ThermalLawSegments, ErrorMessage> {
     let at =
         |temperature_c, constant_um| ThermalRow { temperature_c, constant_um, slope_um_per_m: 0.0 };
     let line = encode_law_segment(&at(reference_c, 0.0), Some(&at(reference_c + 1.0, k_um_per_c)))?;
@@ -80,7 +82,7 @@ pub(super) fn compile_spindle_law(
 }
 
 /// Returns a line from row to row; before the first and after the last their values are held.
-fn table_segments(rows: &[ThermalRow]) -> Result<LawSegments, ErrorMessage> {
+fn table_segments(rows: &[ThermalRow]) -> Result<ThermalLawSegments, ErrorMessage> {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Ok(Vec::new()) };
     let mut pieces = vec![encode_law_segment(first, None)?];
     for pair in rows.windows(2) {
@@ -96,7 +98,7 @@ fn table_segments(rows: &[ThermalRow]) -> Result<LawSegments, ErrorMessage> {
 fn encode_law_segment(
     row: &ThermalRow,
     next: Option<&ThermalRow>,
-) -> Result<[u8; LAW_SEGMENT_SIZE], ErrorMessage> {
+) -> Result<[u8; THERMAL_LAW_SEGMENT_SIZE], ErrorMessage> {
     let stored = |value: f64, what: &str, unit: &str, written: f64| {
         round_to_i32(value)
             .ok_or_else(|| format!("{what} {written} {unit} is more than the board can store"))
@@ -109,7 +111,7 @@ fn encode_law_segment(
     let start = temperature_from_celsius(row.temperature_c).ok_or_else(|| {
         format!("temperature {} °C is beyond the board's ±524 °C", row.temperature_c)
     })?;
-    Ok(LawSegment {
+    Ok(ThermalLawSegment {
         start,
         constant: FineNanometres(stored(
             row.constant_um * FINE_UNITS_PER_UM,
@@ -141,10 +143,10 @@ fn encode_law_segment(
 
 /// At every quarter of a kelvin, and 15 m to either side of the origin where the board's lengths
 /// reach so far.
-fn axis_difference_nm(thermal: &ThermalLaw, pieces: &LawSegments) -> f64 {
+fn axis_difference_nm(thermal: &ThermalLaw, pieces: &ThermalLawSegments) -> f64 {
     let law = ThermalExpansionLaw { pieces };
     let mut worst: f64 = 0.0;
-    for quarter in CHECKED_RANGE_C.0 * 4..=CHECKED_RANGE_C.1 * 4 {
+    for quarter in CHECKED_TEMPERATURE_RANGE_C.0 * 4..=CHECKED_TEMPERATURE_RANGE_C.1 * 4 {
         let celsius = f64::from(quarter) / 4.0;
         let Some(t) = temperature_from_celsius(celsius) else { continue };
         let (constant, gradient) = law.evaluate(t);
@@ -169,7 +171,8 @@ fn axis_difference_nm(thermal: &ThermalLaw, pieces: &LawSegments) -> f64 {
 pub(super) fn decompile_spindle_temperature(
     temperature: &SpindleTemperatureModel<'_>,
 ) -> TemperatureModel {
-    let piece = temperature.law.pieces.first().map(LawSegment::from_bytes).unwrap_or_default();
+    let piece =
+        temperature.law.pieces.first().map(ThermalLawSegment::from_bytes).unwrap_or_default();
     TemperatureModel {
         sensor: temperature_column(temperature.channel),
         reference_c: to_user_value(piece.start.0, TEMPERATURE_UNITS_PER_KELVIN),
@@ -180,7 +183,8 @@ pub(super) fn decompile_spindle_temperature(
 
 /// Returns the law of an axis as a user writes it.
 pub(super) fn decompile_axis_thermal(thermal: &AxisThermalModel<'_>) -> ThermalLaw {
-    let pieces: Vec<LawSegment> = thermal.law.pieces.iter().map(LawSegment::from_bytes).collect();
+    let pieces: Vec<ThermalLawSegment> =
+        thermal.law.pieces.iter().map(ThermalLawSegment::from_bytes).collect();
     let has_constant = pieces
         .iter()
         .any(|piece| piece.constant != FineNanometres::ZERO || piece.constant_slope != 0);
@@ -204,7 +208,7 @@ pub(super) fn decompile_axis_thermal(thermal: &AxisThermalModel<'_>) -> ThermalL
     if pieces.len() > 1 || !starts_at_zero {
         // The first of several holds what is below the first row.
         let rows = pieces.get(1..).filter(|rows| !rows.is_empty()).unwrap_or(&pieces);
-        let row = |row: &LawSegment| ThermalRow {
+        let row = |row: &ThermalLawSegment| ThermalRow {
             temperature_c: to_user_value(row.start.0, TEMPERATURE_UNITS_PER_KELVIN),
             constant_um: to_user_value(row.constant.0, FINE_UNITS_PER_UM),
             slope_um_per_m: to_user_value(row.gradient.0, GRADIENT_UNITS_PER_UM_PER_M),

@@ -17,8 +17,8 @@ use super::{
     term::{MAX_LEVER_RATIO, REFERENCE_LEVER_M, compile_length},
 };
 use crate::{
-    file::Machine,
     location::InputFileError,
+    machine_file::Machine,
     sections::{
         AngleProfile, AngularErrorMotion, AxisChain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry, VolumetricModel,
@@ -69,7 +69,7 @@ pub(super) fn compile(
         let made = compile_angle(&angular.angle);
         let key = format!("angular.{}", angular.name());
         angles[angular.along.index()][angular.about.index()] =
-            account.check_and_record(&key, made)?;
+            account.check_and_record_difference(&key, made)?;
     }
     let mut points = [[Position(0); 3]; 3];
     for (point, axis) in points.iter_mut().zip(LinearAxis::ALL) {
@@ -140,7 +140,10 @@ fn compile_rotary_location(
     let made = compile_positions(point_mm, MAX_LEVER_ARM);
     let point = made.map_err(|rule| machine.places.key_error(&format!("{key}.point_mm"), rule))?;
     let mut along = |um: f64, levers: f64| {
-        account.check_and_record(&key, compile_length(um).map(|(stored, nm)| (stored, nm * levers)))
+        account.check_and_record_difference(
+            &key,
+            compile_length(um).map(|(stored, nm)| (stored, nm * levers)),
+        )
     };
     let [x, y, z] = shift_um;
     let shift = [along(x, 1.0)?, along(y, 1.0)?, along(z, 1.0)?];

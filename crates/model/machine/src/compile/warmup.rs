@@ -2,7 +2,7 @@
 
 use trueup_core::{
     calibration::SpindleWarmupModel,
-    curve::{Curve, Segment},
+    curve::{Curve, CurveSegment},
     units::{FineNanometres, Position},
     warmup,
 };
@@ -37,11 +37,11 @@ pub(super) fn compile(warmup: &Warmup) -> Result<(warmup::WarmupModel, OwnedCurv
         smoothing_cooling: smoothing_factor(warmup.cooling_time_constant_s())?,
         full,
     };
-    Ok((law, compile_power_curve(warmup)?))
+    Ok((law, compile_relative_heat_curve(warmup)?))
 }
 
 /// (n/n_rated)^p in Q28 over n in r/min, to 1 nm of Smax; held at 4 times the rated heat.
-fn compile_power_curve(warmup: &Warmup) -> Result<OwnedCurve, ErrorMessage> {
+fn compile_relative_heat_curve(warmup: &Warmup) -> Result<OwnedCurve, ErrorMessage> {
     const MAX_RELATIVE_HEAT: f64 = 4.0;
     let (Some(rated), p) = (warmup.rated_rpm, warmup.speed_exponent) else {
         return Ok(OwnedCurve::EMPTY);
@@ -94,14 +94,14 @@ fn max_curve_error(curve: &Curve<'_>, exact: impl Fn(f64) -> f64, last: i32) -> 
 /// Returns the warm-up as a user writes it.
 pub(super) fn decompile(warmup: &SpindleWarmupModel<'_>) -> Warmup {
     /// An exponent that is as good as endless: its growth is full, to the last bit.
-    const MAX_EXPONENT: f64 = 20.0;
+    const MAX_WARMUP_EXPONENT: f64 = 20.0;
     let law = &warmup.law;
     let full = f64::from(law.full);
     let exponent = if full > FULL_FRACTION_SCALE {
         let same = |k: f64| (FULL_FRACTION_SCALE / -(-k).exp_m1() - full).abs() < 0.49;
         shortest_decimal(-(-FULL_FRACTION_SCALE / full).ln_1p(), same)
     } else {
-        MAX_EXPONENT
+        MAX_WARMUP_EXPONENT
     };
     let lag_s = f64::from(law.lag_ms) / 1_000.0;
     let warm_s =
@@ -137,7 +137,7 @@ fn fit_power_law(curve: &Curve<'_>) -> Option<(f64, f64)> {
     const MAX_RELATIVE_HEAT: f64 = 4.0;
     let first = curve.first_knot().0;
     let mut places: Vec<i32> = vec![first];
-    places.extend(curve.segments().iter().map(|bytes| Segment::from_bytes(bytes).end.0));
+    places.extend(curve.segments().iter().map(|bytes| CurveSegment::from_bytes(bytes).end.0));
     if let [_, end] = places[..] {
         let third = (end - first) / 3;
         places = vec![first, first + third, end - third, end];

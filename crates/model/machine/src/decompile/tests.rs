@@ -1,7 +1,7 @@
 use trueup_core::{
     calibration::ElongationSource,
-    sensor::{SensorLaw, SensorSlope},
-    units::{Nanometres, Reading},
+    displacement_sensor::{SensorLaw, SensorSlope},
+    units::{Nanometres, SensorReading},
 };
 
 use super::*;
@@ -167,7 +167,8 @@ fn without_a_source_no_input_is_shown() {
 
 #[test]
 fn a_law_without_a_slope_is_shown_too() {
-    let sensor = SensorLaw { k0: Nanometres(1234), zero: Reading(i32::MIN), slope: SensorSlope(0) };
+    let sensor =
+        SensorLaw { k0: Nanometres(1234), zero: SensorReading(i32::MIN), slope: SensorSlope(0) };
     let paper = paper_but("", "");
     let mut calibration = paper.calibration();
     calibration.spindle.sensor = sensor;

@@ -252,7 +252,7 @@ impl Explanation for AngularError {
         parameters.extend(
             stated
                 .chain([("lever", self.0.lever)])
-                .map(|(key, axis)| Parameter::Said(key, Value::Text(axis.name().into()))),
+                .map(|(key, axis)| Parameter::Stated(key, Value::Text(axis.name().into()))),
         );
         parameters
     }

@@ -21,7 +21,7 @@ use super::{
         format_duration,
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
-    heat,
+    temperature_columns,
 };
 use crate::{
     keys::{
@@ -159,7 +159,7 @@ impl Candidate for AxisExpansion {
         let [low, high] = there.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], mm| {
             [low.min(mm), high.max(mm)]
         });
-        for (column, _) in heat::candidate_temperature_columns(survey) {
+        for (column, _) in temperature_columns::candidate_temperature_columns(survey) {
             let neutral = |time_constant_s: f64| Self {
                 column: column.into(),
                 um_per_m_per_c: 0.0,
@@ -213,8 +213,8 @@ impl Explanation for AxisExpansion {
         vec![
             Parameter::Fitted("um_per_m_per_c", values.len() - 3, 0.0),
             time_constant,
-            Parameter::Said("reference_c", Value::Number(fitted.reference_c)),
-            Parameter::Said("origin_mm", Value::Number(fitted.origin_mm)),
+            Parameter::Stated("reference_c", Value::Number(fitted.reference_c)),
+            Parameter::Stated("origin_mm", Value::Number(fitted.origin_mm)),
         ]
     }
 }

@@ -23,7 +23,7 @@ use trueup_core::term::SpeedExponent;
 
 use super::data_view::{DataView, StartValues};
 use crate::{
-    keys::{key::Key, range::PlausibleRange, reader::Section, table::read_or_default},
+    keys::{key::Key, plausible_range::PlausibleRange, reader::Section, table::read_or_default},
     location::InputFileError,
     sections::{LinearAxis, PitchErrorTable, Spindle, ThermalLaw},
 };
@@ -139,7 +139,7 @@ pub enum Parameter {
     /// A list that has no interval.
     Records(&'static str, Vec<Vec<TermEntry>>),
     /// A value that has no interval.
-    Said(&'static str, Value),
+    Stated(&'static str, Value),
 }
 
 /// Heat that arrives by a path of its own.
@@ -246,7 +246,7 @@ pub(crate) trait FileRepresentation: Sized {
     fn entries(&self) -> Vec<TermEntry>;
 
     /// Returns the range of the numbers of `key`, if it is another one here than the key's own.
-    fn own_range(_key: &str) -> Option<PlausibleRange> {
+    fn range_override(_key: &str) -> Option<PlausibleRange> {
         None
     }
 }
@@ -305,7 +305,7 @@ pub trait PhysicalLaw {
 /// A cause in the numbers of the board: what the compiler and its inverse use.
 pub trait BoardRepresentation {
     /// Returns whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         true
     }
 
@@ -442,7 +442,10 @@ pub(crate) fn required_number(section: &Section<'_>, key: Key) -> Result<f64, In
 }
 
 /// Returns a number above 0 that must be there.
-pub(crate) fn required_positive(section: &Section<'_>, key: Key) -> Result<f64, InputFileError> {
+pub(crate) fn required_positive_number(
+    section: &Section<'_>,
+    key: Key,
+) -> Result<f64, InputFileError> {
     section.required(key.name, section.positive_number(key.name)?)
 }
 

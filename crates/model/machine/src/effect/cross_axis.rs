@@ -112,6 +112,6 @@ impl Explanation for CrossAxis {
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         let axis = Value::Text(self.axis.name().into());
-        vec![Parameter::Fitted("um_per_m", 0, 0.0), Parameter::Said("axis", axis)]
+        vec![Parameter::Fitted("um_per_m", 0, 0.0), Parameter::Stated("axis", axis)]
     }
 }

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     keys::{
-        range::{PlausibleRange, USER_UNIT_RANGE},
+        plausible_range::{PlausibleRange, USER_UNIT_RANGE},
         reader::{Section, is_temperature_column},
         term::{
             AT, COLUMN, CONSTANT_UM, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS,
@@ -33,7 +33,7 @@ use crate::{
     },
     location::InputFileError,
     sections::{LinearAxis, ToolGrowthList},
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 use column_values::SWITCH_LEVELS;
 use multiplier::LOAD_COLUMN;
@@ -188,12 +188,12 @@ impl Dependence {
 impl FileRepresentation for Dependence {
     const NAME: &'static str = "dependence";
 
-    fn own_range(key: &str) -> Option<PlausibleRange> {
+    fn range_override(key: &str) -> Option<PlausibleRange> {
         (key == CONSTANT_UM.name).then_some(USER_UNIT_RANGE)
     }
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        reader::KEYS
+        reader::DEPENDENCE_KEYS
     }
 
     fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
@@ -309,7 +309,7 @@ impl PhysicalLaw for Dependence {
 }
 
 impl BoardRepresentation for Dependence {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         !self.board_terms().is_empty()
     }
 

@@ -40,7 +40,7 @@ pub enum Drift {
 }
 
 /// Runs that show a slope: two differ by something, whatever it is.
-const MIN_RUNS: usize = 3;
+const MIN_DRIFT_RUNS: usize = 3;
 
 impl Drift {
     fn rate_entry(&self) -> (&'static str, f64) {
@@ -110,7 +110,7 @@ impl PhysicalLaw for Drift {
 }
 
 impl BoardRepresentation for Drift {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }
@@ -135,7 +135,7 @@ impl Candidate for Drift {
         if survey.time_range_s().is_some() {
             with(Self::InTime { um_per_h: 0.0 }, StartValues::empty());
         } else if let Some(run) =
-            survey.column("run").filter(|run| target_positions(run, 1e-3).len() >= MIN_RUNS)
+            survey.column("run").filter(|run| target_positions(run, 1e-3).len() >= MIN_DRIFT_RUNS)
         {
             let known = || run.iter().filter(|run| run.is_finite());
             let reference_run = known().sum::<f64>() / known().count() as f64;

@@ -15,7 +15,7 @@ use super::{
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     dependence::SPEED_COLUMN,
-    heat,
+    temperature_columns,
 };
 use crate::{
     keys::{
@@ -157,7 +157,7 @@ impl PhysicalLaw for ExtraHeatPath {
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
         let lag_s = nonlinear.first().copied().unwrap_or(0.0);
         match self {
-            Self::OfTemperature(heat) => heat::temperature_inputs(heat, lag_s),
+            Self::OfTemperature(heat) => temperature_columns::temperature_inputs(heat, lag_s),
             Self::OfSpeed(heat) => vec![Input::SpeedHeat { power: heat.power, lag_s }],
         }
     }
@@ -237,11 +237,13 @@ impl Candidate for ExtraHeatPath {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in heat::candidate_temperature_columns(survey)
+        for (column, _) in temperature_columns::candidate_temperature_columns(survey)
             .into_iter()
             .filter(|(_, is_in_use)| !is_in_use)
         {
-            let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
+            let of = |has_lag| {
+                Self::OfTemperature(temperature_columns::neutral(survey, column, has_lag))
+            };
             with(of(false), StartValues::empty());
             with(of(true), survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
@@ -310,7 +312,7 @@ impl Explanation for ExtraHeatPath {
         };
         let mut all = vec![amplitude, time_constant];
         if let Self::OfSpeed(heat) = self {
-            all.push(Parameter::Said(
+            all.push(Parameter::Stated(
                 "input",
                 Value::Text(input_name_and_key(heat.power)[0].into()),
             ));

@@ -26,7 +26,7 @@
 //!
 //! So the causes of a sensor act on the sensor's law alone: a gain does not scale what speed, load or
 //! heat add. Predicting, compiling and diagnosing have this order from
-//! `sorted_by_stage` (`file/term.rs`).
+//! `sorted_by_stage` (`machine_file/term.rs`).
 
 mod angular_error;
 mod axis_expansion;
@@ -39,8 +39,7 @@ mod dependence;
 mod drift;
 mod extra_heat_path;
 mod feed_dependent_backlash;
-mod heat;
-mod law;
+mod law_evaluation;
 mod nonlinear;
 mod outliers;
 mod periodic_in_time;
@@ -54,6 +53,7 @@ mod sensor_temperature_drift;
 mod slow_mode;
 mod step;
 mod straightness;
+mod temperature_columns;
 mod thermometer_lag;
 mod wave;
 
@@ -68,7 +68,7 @@ pub use cause_spec::{
 };
 pub use data_view::{DataView, SpectrumVariable, StartValues, peak_to_peak};
 pub use dependence::DependenceForm;
-pub use law::ColumnSource;
+pub use law_evaluation::ColumnSource;
 pub use periodic_in_time::MIN_READINGS_PER_PERIOD;
 pub use quantity::Quantity;
 pub use range_limited::{BoundSide, RangeLimited};
@@ -77,7 +77,7 @@ pub use trueup_core::term::SpeedExponent;
 pub use wave::Wave;
 
 use crate::{
-    keys::{range::PlausibleRange, reader::Section},
+    keys::{plausible_range::PlausibleRange, reader::Section},
     location::InputFileError,
     sections::LinearAxis,
 };
@@ -118,7 +118,7 @@ macro_rules! causes {
 
             /// Returns the range of the numbers of `key`, if it is another one of this cause than the key's own.
             pub(crate) fn own_range(self, key: &str) -> Option<PlausibleRange> {
-                match self { $(Self::$CauseSpec => $CauseSpec::own_range(key),)* }
+                match self { $(Self::$CauseSpec => $CauseSpec::range_override(key),)* }
             }
 
             /// This cause as it stands in `section`, whose keys are known.
@@ -165,7 +165,7 @@ macro_rules! causes {
             #[must_use]
             pub fn unit_effect_columns(&self, nonlinear: &[f64], source: &dyn ColumnSource) -> Vec<Vec<f64>> {
                 match self {
-                    $(Self::$CauseSpec(page) => law::unit_effect_columns(page, nonlinear, source),)*
+                    $(Self::$CauseSpec(page) => law_evaluation::unit_effect_columns(page, nonlinear, source),)*
                     Self::RangeLimited(within) => within.unit_effect_columns(nonlinear, source),
                 }
             }
@@ -175,7 +175,7 @@ macro_rules! causes {
             #[must_use]
             pub fn sum_effects(&self, values: &[f64], source: &dyn ColumnSource) -> Vec<f64> {
                 match self {
-                    $(Self::$CauseSpec(page) => law::sum_effects(page, values, source),)*
+                    $(Self::$CauseSpec(page) => law_evaluation::sum_effects(page, values, source),)*
                     Self::RangeLimited(within) => within.sum_effects(values, source),
                 }
             }
@@ -184,7 +184,7 @@ macro_rules! causes {
             #[must_use]
             pub fn evaluate_at(&self, values: &[f64], x: &[f64]) -> f64 {
                 match self {
-                    $(Self::$CauseSpec(page) => law::evaluate_at(page, values, x),)*
+                    $(Self::$CauseSpec(page) => law_evaluation::evaluate_at(page, values, x),)*
                     Self::RangeLimited(within) => within.evaluate_at(values, x),
                 }
             }

@@ -30,7 +30,7 @@ pub enum NonlinearParameter {
 impl NonlinearParameter {
     /// Returns whether it is varied by ratios.
     #[must_use]
-    pub fn is_logarithmic(self) -> bool {
+    pub fn is_log_scaled(self) -> bool {
         matches!(
             self,
             Self::TimeConstant

@@ -49,7 +49,7 @@ impl PhysicalLaw for Outliers {
 }
 
 impl BoardRepresentation for Outliers {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }

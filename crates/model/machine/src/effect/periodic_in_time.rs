@@ -13,7 +13,7 @@ use super::{
     cause_spec::{
         BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
         NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value, required_number,
-        required_positive,
+        required_positive_number,
     },
     data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
@@ -55,7 +55,7 @@ impl FileRepresentation for PeriodicInTime {
 
     fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(Self {
-            period_s: required_positive(section, PERIOD_S)?,
+            period_s: required_positive_number(section, PERIOD_S)?,
             start_s: section.number(START_S.name)?.unwrap_or(0.0),
             wave: Wave {
                 harmonic: 1,
@@ -92,7 +92,7 @@ impl PhysicalLaw for PeriodicInTime {
 }
 
 impl BoardRepresentation for PeriodicInTime {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }

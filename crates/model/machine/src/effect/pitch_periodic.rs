@@ -9,7 +9,8 @@ use std::f64::consts::TAU;
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value, required_positive,
+        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
+        required_positive_number,
     },
     data_view::{DataView, SpectrumVariable, StartValues, target_positions},
     wave::{self, Wave},
@@ -47,7 +48,7 @@ impl FileRepresentation for PitchPeriodic {
 
     fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
         Ok(Self {
-            period_mm: required_positive(section, PERIOD_MM)?,
+            period_mm: required_positive_number(section, PERIOD_MM)?,
             waves: section.required(AMPLITUDE_UM.name, wave::read(section)?)?,
         })
     }
@@ -187,7 +188,7 @@ impl Explanation for PitchPeriodic {
             fitted.set_values(values);
             let records = fitted.waves.iter().copied().map(Wave::to_entries).collect();
             parameters.push(Parameter::Records("harmonics", records));
-            parameters.push(Parameter::Said("turn_mm", Value::Number(values[0])));
+            parameters.push(Parameter::Stated("turn_mm", Value::Number(values[0])));
         }
         parameters
     }

@@ -11,7 +11,7 @@ use super::{
     },
     data_view::{DataView, StartValues, peak_to_peak},
     dependence::{Dependence, DependenceForm, SPEED_COLUMN},
-    law::ColumnSource,
+    law_evaluation::ColumnSource,
     scalar_cause::CentrifugalGrowth,
 };
 use crate::{
@@ -198,7 +198,7 @@ impl PhysicalLaw for RangeLimited {
 }
 
 impl BoardRepresentation for RangeLimited {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }

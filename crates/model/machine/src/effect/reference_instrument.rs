@@ -155,7 +155,7 @@ impl PhysicalLaw for ReferenceInstrument {
 }
 
 impl BoardRepresentation for ReferenceInstrument {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }
@@ -234,6 +234,6 @@ impl Explanation for ReferenceInstrument {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let description = Value::Text(self.describe_error(values));
-        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Said("description", description)]
+        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Stated("description", description)]
     }
 }

@@ -7,23 +7,23 @@
 //! | `axis` | errors of an axis over its position and direction, and of the clock |
 
 mod axis;
-mod heat;
 mod sensor;
+mod thermal_constants;
 
 pub use axis::{Backlash, PitchScale, PositionDependentBacklash, TimeShift};
-pub use heat::{
-    CoolingAsymmetry, ExpansionConstant, ExpansionSlope, GrowthAmplitude, GrowthRate,
-    ReferenceTemperature, ThermalLag,
-};
 pub use sensor::{
     CentrifugalGrowth, CuttingLoad, SensorCurvature, SensorGain, SensorOffset, SensorSaturation,
+};
+pub use thermal_constants::{
+    CoolingAsymmetry, ExpansionConstant, ExpansionSlope, GrowthAmplitude, GrowthRate,
+    ReferenceTemperature, ThermalLag,
 };
 
 use super::{
     cause_spec::{
         BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
         ModelConstants, NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target,
-        TermContext, TermEntry, Value, required_number, required_positive,
+        TermContext, TermEntry, Value, required_number, required_positive_number,
     },
     data_view::{DataView, StartValues},
 };
@@ -51,7 +51,7 @@ struct ScalarCause {
     target: Target,
     stage: PredictionStage,
     tier: u8,
-    is_compensated: bool,
+    is_compensable: bool,
     neutral: NeutralValue,
     /// Whether the number in a file must be above 0.
     is_positive: bool,
@@ -82,7 +82,7 @@ impl ScalarCause {
         target: Target::Any,
         stage: PredictionStage::Sum,
         tier: 0,
-        is_compensated: true,
+        is_compensable: true,
         neutral: NeutralValue::At(0.0),
         is_positive: false,
         inputs: &[],
@@ -161,7 +161,8 @@ impl<T: ScalarParameter> FileRepresentation for T {
     }
 
     fn read(section: &Section<'_>) -> Result<Self, InputFileError> {
-        let read = if T::DEFINITION.is_positive { required_positive } else { required_number };
+        let read =
+            if T::DEFINITION.is_positive { required_positive_number } else { required_number };
         read(section, T::KEY).map(T::from_number)
     }
 
@@ -203,8 +204,8 @@ impl<T: ScalarParameter> PhysicalLaw for T {
 }
 
 impl<T: ScalarParameter> BoardRepresentation for T {
-    fn is_compensated(&self) -> bool {
-        T::DEFINITION.is_compensated
+    fn is_compensable(&self) -> bool {
+        T::DEFINITION.is_compensable
     }
 
     fn board_terms(&self) -> Vec<BoardTerm> {

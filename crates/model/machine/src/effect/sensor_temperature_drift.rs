@@ -10,7 +10,7 @@ use super::{
         Parameter, PhysicalLaw, Target, TemperatureResponse, TermEntry,
     },
     data_view::{DataView, StartValues, peak_to_peak},
-    heat,
+    temperature_columns,
 };
 use crate::{
     keys::{
@@ -48,7 +48,7 @@ impl PhysicalLaw for SensorTemperatureDrift {
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        heat::temperature_inputs(&self.0, 0.0)
+        temperature_columns::temperature_inputs(&self.0, 0.0)
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -80,9 +80,9 @@ impl Candidate for SensorTemperatureDrift {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some(column) = heat::sensor_temperature_column(survey) else { return };
+        let Some(column) = temperature_columns::sensor_temperature_column(survey) else { return };
         if peak_to_peak(survey.source_elongation_um()) > 0.0 && survey.is_varying(column) {
-            with(Self(heat::neutral(survey, column, false)), StartValues::empty());
+            with(Self(temperature_columns::neutral(survey, column, false)), StartValues::empty());
         }
     }
 }

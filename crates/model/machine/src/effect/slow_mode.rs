@@ -12,11 +12,11 @@ use super::{
         TermEntry, format_duration,
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
-    heat,
+    temperature_columns,
 };
 use crate::{
     keys::{
-        range::{GROWTH_SOURCE, NANOMETRES_HINT, PlausibleRange, range},
+        plausible_range::{GROWTH_SOURCE, NANOMETRES_HINT, PlausibleRange, range},
         reader::Section,
         table::{Table, entries, table},
         term::{AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C},
@@ -68,7 +68,7 @@ const AMPLITUDE_RANGE: PlausibleRange =
 impl FileRepresentation for SlowMode {
     const NAME: &'static str = "slow-mode";
 
-    fn own_range(key: &str) -> Option<PlausibleRange> {
+    fn range_override(key: &str) -> Option<PlausibleRange> {
         (key == AMPLITUDE_UM.name).then_some(AMPLITUDE_RANGE)
     }
 
@@ -118,7 +118,7 @@ impl PhysicalLaw for SlowMode {
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
         match self {
             Self::TimeDriven { .. } => vec![Input::Time],
-            Self::ColumnDriven(heat) => heat::temperature_inputs(heat, nonlinear[0]),
+            Self::ColumnDriven(heat) => temperature_columns::temperature_inputs(heat, nonlinear[0]),
         }
     }
 
@@ -205,12 +205,15 @@ impl Candidate for SlowMode {
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in heat::candidate_temperature_columns(survey)
+        for (column, _) in temperature_columns::candidate_temperature_columns(survey)
             .into_iter()
             .filter(|(_, is_in_use)| *is_in_use)
         {
             let time_constants = survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS);
-            with(Self::ColumnDriven(heat::neutral(survey, column, true)), time_constants);
+            with(
+                Self::ColumnDriven(temperature_columns::neutral(survey, column, true)),
+                time_constants,
+            );
         }
         if survey.quantity().axis().is_none() && survey.time_range_s().is_some() {
             let start_s = survey.time_origin_s();

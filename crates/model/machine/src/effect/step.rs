@@ -69,7 +69,7 @@ impl PhysicalLaw for Step {
 }
 
 impl BoardRepresentation for Step {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }

@@ -19,7 +19,7 @@ use super::{
     cause_spec::{
         BoardRepresentation, Candidate, DelayKind, Explanation, FileRepresentation, FitSpec, Input,
         NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target, TermContext,
-        TermEntry, ThermometerDelay, Value, format_duration, required_positive,
+        TermEntry, ThermometerDelay, Value, format_duration, required_positive_number,
     },
     data_view::{DataView, StartValues},
 };
@@ -67,7 +67,7 @@ impl FileRepresentation for ThermometerLag {
         let slope_over = section.non_negative_number(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
         let lag = DelayKind::Lag { slope_over };
         let form = section.choice(FORM.name, &[("lag", lag), ("delay", DelayKind::Delay)])?;
-        let time_constant_s = required_positive(section, TIME_CONSTANT_S)?;
+        let time_constant_s = required_positive_number(section, TIME_CONSTANT_S)?;
         Ok(Self { time_constant_s, form: form.unwrap_or(lag) })
     }
 
@@ -107,7 +107,7 @@ impl PhysicalLaw for ThermometerLag {
 }
 
 impl BoardRepresentation for ThermometerLag {
-    fn is_compensated(&self) -> bool {
+    fn is_compensable(&self) -> bool {
         false
     }
 }
@@ -159,7 +159,7 @@ impl Explanation for ThermometerLag {
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         let stated =
-            self.form_entries().into_iter().map(|(name, value)| Parameter::Said(name, value));
+            self.form_entries().into_iter().map(|(name, value)| Parameter::Stated(name, value));
         [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(stated).collect()
     }
 }

@@ -1,6 +1,6 @@
 //! The keys of the machine file: what a key is, and how one is declared.
 
-use super::range::PlausibleRange;
+use super::plausible_range::PlausibleRange;
 
 /// A key of a section.
 #[derive(Clone, Copy, Debug)]

@@ -11,7 +11,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use crate::location::{InputFileError, Location, Locations, did_you_mean, truncate_text};
+use crate::location::{InputFileError, KeyLocations, Location, did_you_mean, truncate_text};
 
 /// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
 /// more than this is more than the board could store.
@@ -22,7 +22,7 @@ pub(crate) struct TomlDocument<'t> {
     file: &'t Path,
     text: &'t str,
     table: DeTable<'t>,
-    places: Locations,
+    places: KeyLocations,
 }
 
 /// The rule that a run file in the place of a machine file breaks.
@@ -48,7 +48,7 @@ impl<'t> TomlDocument<'t> {
             InputFileError::new(Location::from_byte_offset(file, text, offset), rule)
         })?;
         let table = table.into_inner();
-        let mut places = Locations::new(file);
+        let mut places = KeyLocations::new(file);
         record_table_locations(&mut places, "", &table, &LineIndex::new(text));
         Ok(Self { file, text, table, places })
     }
@@ -59,7 +59,7 @@ impl<'t> TomlDocument<'t> {
     }
 
     /// Returns the place of every key.
-    pub(crate) fn into_locations(self) -> Locations {
+    pub(crate) fn into_locations(self) -> KeyLocations {
         self.places
     }
 }
@@ -89,7 +89,7 @@ impl<'t> LineIndex<'t> {
 }
 
 fn record_table_locations(
-    places: &mut Locations,
+    places: &mut KeyLocations,
     name: &str,
     table: &DeTable<'_>,
     lines: &LineIndex<'_>,
@@ -104,7 +104,7 @@ fn record_table_locations(
 }
 
 fn record_value_location(
-    places: &mut Locations,
+    places: &mut KeyLocations,
     dotted: &str,
     value: &Spanned<DeValue<'_>>,
     lines: &LineIndex<'_>,

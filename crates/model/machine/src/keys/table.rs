@@ -52,7 +52,7 @@ macro_rules! table {
         impl $crate::keys::table::Table for $Name {
             const KEYS: &'static [$crate::keys::key::Key] = {
                 #[allow(unused_imports, reason = "a table whose keys all stand elsewhere, as those of causes, names no form and no range")]
-                use $crate::keys::{key::{ValueType::*, key}, range::*};
+                use $crate::keys::{key::{ValueType::*, key}, plausible_range::*};
                 &[$($key $((stringify!($field), $form, $unit, $meaning))?
                     $(.$property($($argument),*))*),*]
             };

@@ -7,7 +7,7 @@ use super::{
         ValueType::{self, Choice, NotNegative, Number, Numbers, Positive, Text, Whole},
         key,
     },
-    range::*,
+    plausible_range::*,
 };
 
 const AXIS_NAMES: &[&str] = &["x", "y", "z"];

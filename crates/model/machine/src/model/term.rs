@@ -11,7 +11,7 @@ use std::borrow::Cow;
 use super::{Lag, RowInputs, tool_growth::tool_growth_term};
 use crate::{
     effect::{Input, ModelConstants, PredictionStage, Quantity, relative_heat_input},
-    file::{Machine, Term, sorted_by_stage},
+    machine_file::{Machine, Term, sorted_by_stage},
     sections::LinearAxis,
 };
 
@@ -130,8 +130,10 @@ fn apply_term(
             quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])
         }
         Input::Position(axis) => of(axis),
-        Input::Column(column) => situation.other_value(column),
-        Input::Lagged { column, lag_s } => lag.step(lag_s, time_s, situation.other_value(column)),
+        Input::Column(column) => situation.other_column_value(column),
+        Input::Lagged { column, lag_s } => {
+            lag.step(lag_s, time_s, situation.other_column_value(column))
+        }
         // Only a diagnosis reads it, to find the error of an instrument.
         Input::Believed => f64::NAN,
     };

@@ -21,7 +21,7 @@ use std::{borrow::Cow, cmp::Ordering, ops::Range};
 use super::RowInputs;
 use crate::{
     effect::{DelayKind, Quantity, ThermometerDelay},
-    file::Machine,
+    machine_file::Machine,
     sections::ElongationSource,
 };
 
@@ -201,17 +201,17 @@ impl ThermometerReadings<'_> {
     }
 
     fn start_temperature_c(&mut self, at_s: f64) -> f64 {
-        self.begin = self.row_before(at_s, self.begin);
+        self.begin = self.last_row_at_or_before(at_s, self.begin);
         self.interpolate_from(self.begin, at_s)
     }
 
     fn end_temperature_c(&mut self, at_s: f64) -> f64 {
-        self.end = self.row_before(at_s, self.end);
+        self.end = self.last_row_at_or_before(at_s, self.end);
         self.interpolate_from(self.end, at_s)
     }
 
     /// Returns the last row that is not after a time, or the first of all, looked for from the row `near` it.
-    fn row_before(&self, at_s: f64, mut near: usize) -> usize {
+    fn last_row_at_or_before(&self, at_s: f64, mut near: usize) -> usize {
         while near > 0 && self.time_s[near] > at_s {
             near -= 1;
         }
@@ -240,7 +240,7 @@ pub fn part_temperatures<'r>(
 ) -> Vec<(String, Vec<f64>)> {
     let Some(time_s) = column("time_s") else { return Vec::new() };
     let of = |quantity: Quantity| {
-        let (sensor, late) = delayed_thermometer(machine, quantity)?;
+        let (sensor, late) = find_delayed_thermometer(machine, quantity)?;
         let part_c = part_temperature(late, time_s, column(sensor)?);
         Some((part_column_name(quantity), part_c))
     };
@@ -253,7 +253,7 @@ pub(super) struct DelayedParts([bool; 4]);
 
 impl DelayedParts {
     pub(super) fn from_machine(machine: &Machine) -> Self {
-        Self(Quantity::ALL.map(|quantity| delayed_thermometer(machine, quantity).is_some()))
+        Self(Quantity::ALL.map(|quantity| find_delayed_thermometer(machine, quantity).is_some()))
     }
 
     /// Returns the temperature that `quantity` follows: its thermometer's, or what is known of the part.
@@ -278,7 +278,10 @@ fn part_column_name(quantity: Quantity) -> String {
 }
 
 /// Returns the thermometer of `quantity`'s own law, and how late it is.
-fn delayed_thermometer(machine: &Machine, quantity: Quantity) -> Option<(&str, ThermometerDelay)> {
+fn find_delayed_thermometer(
+    machine: &Machine,
+    quantity: Quantity,
+) -> Option<(&str, ThermometerDelay)> {
     let of_quantity = machine.terms.iter().filter(|term| term.quantity == quantity);
     let late = of_quantity.filter_map(|term| term.effect.thermometer_delay()).next_back()?;
     let sensor = match quantity.axis() {

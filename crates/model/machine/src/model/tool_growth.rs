@@ -2,9 +2,9 @@
 
 use crate::{
     effect::{Dependence, DependenceForm, Effect, Multiplier, Quantity},
-    file::Term,
+    machine_file::Term,
     sections::{ToolGrowth, ToolGrowthList},
-    tool::{TOOL_COLUMN, label_code},
+    tool_column::{TOOL_COLUMN, label_code},
 };
 
 /// Returns the term that the list of `[spindle.tools]` is.

@@ -21,7 +21,7 @@
 
 use super::kinematics::rotate_about_axis;
 use crate::{
-    file::Machine,
+    machine_file::Machine,
     sections::{
         AngleProfile, AngularErrorMotion, AxisChain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry,
@@ -53,7 +53,7 @@ pub fn volumetric_error_um(
     let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_errors()) else {
         return [0.0; 3];
     };
-    let (tip_mm, mut error_um) = tip_and_head_error(machine, tool, chain, angle_deg);
+    let (tip_mm, mut error_um) = compute_tip_and_head_error(machine, tool, chain, angle_deg);
     for angular in &volume.angular {
         let place_mm = position_mm[angular.along.index()];
         let urad = angle_urad(&angular.angle, place_mm);
@@ -88,7 +88,7 @@ fn angle_urad(angle: &AngleProfile, place_mm: f64) -> f64 {
 }
 
 /// Returns the tip from the spindle nose in mm, and the errors of the axes that turn the tool in µm.
-fn tip_and_head_error(
+fn compute_tip_and_head_error(
     machine: &Machine,
     tool: ToolGeometry,
     chain: &AxisChain,
@@ -205,7 +205,7 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::{volumetric_error_um as tip_error_um, *};
-    use crate::file::MachineFile;
+    use crate::machine_file::MachineFile;
     use std::path::Path;
 
     /// With the tool of the machine file.

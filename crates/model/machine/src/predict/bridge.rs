@@ -3,13 +3,13 @@
 use trueup_core::{
     calibration::Calibration,
     cnc::MachineConditions,
-    dimensions::{CHANNEL_COUNT, THERMAL_STEP_MS},
+    design_parameters::{TEMPERATURE_CHANNEL_COUNT, THERMAL_STEP_MS},
     lag::SmoothingFactor,
     machine_position::MachinePosition,
+    reversal::ReversalTracker,
     term::{self, OperatingPoint},
     thermal_state::{FIRST_TERM_ITEM, MachineThermalState},
     tip_error::{self, UNLIMITED},
-    travel::ReversalTracker,
     units::{MicroDegrees, Nanometres, Position, Rpm, Temperature},
 };
 
@@ -19,14 +19,14 @@ use crate::{
         term::LOAD_UNITS_PER_NEWTON,
     },
     effect::BoardTerm,
-    file::Machine,
     inputs::{
-        ConditionInput, Inputs, MAX_TEMPERATURE_CHANNEL, SensorInput, TemperatureInput,
+        BoardInputs, ConditionInput, MAX_TEMPERATURE_CHANNEL, SensorInput, TemperatureInput,
         TemperatureKind,
     },
+    machine_file::Machine,
     model::{ErrorValues, RowInputs},
     sections::{ElongationSource, ToolGrowthList},
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
     unit_conversion::{NM_PER_UM, POSITION_UNITS_PER_MM},
 };
 
@@ -36,7 +36,7 @@ pub(super) struct SimulatedBridge {
     /// `None` if no law needs a reading.
     pub(super) input: Option<SensorInput>,
     /// The temperature column of each channel.
-    channels: [Option<String>; CHANNEL_COUNT],
+    channels: [Option<String>; TEMPERATURE_CHANNEL_COUNT],
     /// The column of each condition, with its bit.
     conditions: Vec<(String, u8)>,
     pub(super) compiled: CompiledCalibration,
@@ -54,7 +54,7 @@ impl SimulatedBridge {
             Ok(compiled) => compiled,
             Err(error) => return Err(error.to_string()),
         };
-        let mut channels = [const { None }; CHANNEL_COUNT];
+        let mut channels = [const { None }; TEMPERATURE_CHANNEL_COUNT];
         for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
             if let Some(channel) = channels.get_mut(usize::from(temperature.channel)) {
                 *channel = Some(name.clone());
@@ -77,7 +77,7 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
     let used: Vec<String> =
         axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
     let of_conditions = board_condition_columns(&wired);
-    let inputs = wired.inputs.get_or_insert_with(Inputs::default);
+    let inputs = wired.inputs.get_or_insert_with(BoardInputs::default);
     for name in of_conditions {
         if !inputs.conditions.contains_key(&name)
             && let Some(bit) = first_free_condition_bit(inputs)
@@ -101,7 +101,7 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
 }
 
 /// The board's side on its way through a run.
-pub(super) struct BridgeRun<'b> {
+pub(super) struct SimulatedBridgeRun<'b> {
     bridge: &'b SimulatedBridge,
     calibration: Calibration<'b>,
     /// In the order in which the CNC sends them, each the place of its angle among A, B and C.
@@ -117,7 +117,7 @@ pub(super) struct BridgeRun<'b> {
     last_s: f64,
 }
 
-impl<'b> BridgeRun<'b> {
+impl<'b> SimulatedBridgeRun<'b> {
     pub(super) fn new(machine: &Machine, bridge: &'b SimulatedBridge) -> Self {
         let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
         Self {
@@ -191,10 +191,10 @@ impl<'b> BridgeRun<'b> {
 
     /// Takes tool, conditions and speed of the row. One that is missing counts as off; what depends on it is not shown.
     fn apply_conditions(&mut self, situation: &RowInputs<'_>) {
-        let holds = |(name, _): &&(String, u8)| situation.other_value(name) == 1.0;
+        let holds = |(name, _): &&(String, u8)| situation.other_column_value(name) == 1.0;
         let on = self.bridge.conditions.iter().filter(holds);
         let bits = on.fold(0, |bits, (_, bit)| bits | 1_u16.wrapping_shl((*bit).into()));
-        let value = situation.other_value(TOOL_COLUMN);
+        let value = situation.other_column_value(TOOL_COLUMN);
         let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, code)| *code);
         // A cast from f64 saturates: a label that is not known is tool 0.
         let tool = of_label.unwrap_or(value as u16);
@@ -208,11 +208,12 @@ impl<'b> BridgeRun<'b> {
     fn step_thermal(&mut self, situation: &RowInputs<'_>) {
         /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
         const MAX_THERMAL_STEPS: u64 = 10_000_000;
-        let temperatures: [Option<Temperature>; CHANNEL_COUNT] = std::array::from_fn(|channel| {
-            let name = self.bridge.channels[channel].as_ref()?;
-            let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
-            (!units.is_nan()).then_some(Temperature(units.round() as i32))
-        });
+        let temperatures: [Option<Temperature>; TEMPERATURE_CHANNEL_COUNT] =
+            std::array::from_fn(|channel| {
+                let name = self.bridge.channels[channel].as_ref()?;
+                let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
+                (!units.is_nan()).then_some(Temperature(units.round() as i32))
+            });
         let speed = match situation.spindle_rpm {
             None => Some(self.rated),
             Some(speed) if speed.is_nan() => return,

@@ -2,12 +2,12 @@
 
 use crate::{
     effect::Input,
-    file::Machine,
     keys::reader::is_temperature_column,
+    machine_file::Machine,
     model::RowInputs,
     run_file::RunFile,
     sections::{LinearAxis, RotaryAxis},
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
 /// The columns of the run that the model knows.
@@ -66,7 +66,7 @@ impl<'a> ModelColumns<'a> {
         values_in_row(&self.temperatures_c, row)
     }
 
-    pub(super) fn others_in_row(&self, row: usize) -> Vec<(&'a str, f64)> {
+    pub(super) fn other_column_values_in_row(&self, row: usize) -> Vec<(&'a str, f64)> {
         values_in_row(&self.others, row)
     }
 

@@ -17,7 +17,7 @@ fn run(text: &str) -> RunFile {
 /// Returns what is written, and the account of it.
 fn written(machine_text: &str, run_text: &str) -> (String, PredictionSummary) {
     let (machine, run) = (machine(machine_text), run(run_text));
-    let predictor = Predictor::new(&machine, &run).expect("can be predicted");
+    let predictor = RunPredictor::new(&machine, &run).expect("can be predicted");
     let (mut out, mut rows) = (Vec::new(), 0);
     let account = predictor.write_csv(&mut out, || rows += 1).expect("a Vec can be written");
     assert_eq!(rows, account.rows);
@@ -108,7 +108,7 @@ fn counts_that_the_sensor_cannot_give_are_reported() {
 fn what_the_board_could_not_run_is_predicted_all_the_same() {
     let steep = machine(&PAPER.replace("0.0152587890625", "2.0"));
     let run = run("sensor_counts\n5049\n");
-    let predictor = Predictor::new(&steep, &run).expect("the model needs no board");
+    let predictor = RunPredictor::new(&steep, &run).expect("the model needs no board");
     let why = predictor.bridge_error().expect("the board cannot");
     assert!(why.starts_with("m.toml:16:16: spindle.sensor.um_per_count 2 is"), "{why}");
     assert_eq!(predictor.predictions().next().map(|row| row.model.elongation_um), Some(2.0));
@@ -121,7 +121,7 @@ fn what_cannot_be_predicted_is_refused_with_its_place() {
         ("sensor_counts,bridge_dx_um\n1,2\n", "r.csv:1:1: column bridge_dx_um is already there"),
     ] {
         let (machine, run) = (machine(PAPER), run(run_text));
-        let error = Predictor::new(&machine, &run).expect_err(complaint).to_string();
+        let error = RunPredictor::new(&machine, &run).expect_err(complaint).to_string();
         assert!(error.starts_with(complaint), "{error}");
     }
 }
@@ -135,7 +135,7 @@ fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_
     let written = |rows: &str| {
         let text = format!("time_s,x_mm,temp_a_c\n{rows}");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-        let predictor = Predictor::new(&machine, &run).expect("it can be predicted");
+        let predictor = RunPredictor::new(&machine, &run).expect("it can be predicted");
         predictor.write_csv(Vec::new(), || {}).expect("a Vec can be written")
     };
     // 8.4 m beyond what a sum of errors may be: 303 mm of growth.
@@ -156,8 +156,8 @@ fn a_tool_of_another_length_errs_by_its_own_lever_and_the_board_knows_that_of_th
     // At X = 1 m rolled by 10 µrad: Δy = −10 µrad · (Z − length), Δz = 10 µrad · Y.
     let rows = "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,100\n1000,500,200,300\n1000,500,200,\n";
     let (machine, rows) = (machine(text), run(rows));
-    let predictor = Predictor::new(&machine, &rows).expect("can be predicted");
-    let all: Vec<Prediction> = predictor.predictions().collect();
+    let predictor = RunPredictor::new(&machine, &rows).expect("can be predicted");
+    let all: Vec<RowPrediction> = predictor.predictions().collect();
     assert_eq!(all[0].model.error_um, [0.0, -1.0, 5.0]);
     assert_eq!(all[1].model.error_um, [0.0, 1.0, 5.0]);
     assert!(all[2].model.error_um[1].is_nan(), "{:?}", all[2]);

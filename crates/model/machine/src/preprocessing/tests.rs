@@ -68,7 +68,7 @@ fn sweeps(turn: bool) -> (String, Vec<f64>) {
 fn directions_that_are_missing_are_those_in_which_the_positions_go() {
     for turn in [true, false] {
         let (text, directions) = sweeps(turn);
-        let (with, warnings) = with_directions(run(&text), None);
+        let (with, warnings) = with_approach_directions(run(&text), None);
         assert_eq!(with.column("dir_y").expect("derived"), directions, "{turn}");
         let [warning] = &warnings[..] else { panic!("{warnings:?}") };
         assert!(
@@ -83,7 +83,7 @@ fn directions_that_are_missing_are_those_in_which_the_positions_go() {
 #[test]
 fn nothing_is_derived_where_positions_do_not_say_it() {
     let derives = |text: &str, machine: Option<&Machine>| {
-        let (with, warnings) = with_directions(run(text), machine);
+        let (with, warnings) = with_approach_directions(run(text), machine);
         (with.column("dir_x").is_some(), warnings.len())
     };
     // One way only, back at the start of each run; no error of the axis; the directions are there.

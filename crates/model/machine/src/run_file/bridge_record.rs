@@ -3,7 +3,7 @@
 //! their own names and counts. That the record is of that calibration is checked elsewhere, by its CRC.
 
 use super::RunFile;
-use crate::{file::Machine, model::sensor_counts_from_elongation};
+use crate::{machine_file::Machine, model::sensor_counts_from_elongation};
 
 /// The column that a record of a bridge has.
 const CALIBRATION_CRC_COLUMN: &str = "calibration_crc";

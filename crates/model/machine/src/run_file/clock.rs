@@ -20,14 +20,14 @@ pub(super) fn is_logger_time_column(name: &str) -> bool {
 
 /// Returns whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
 pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
-    const UNIX_SECONDS_RANGE: std::ops::Range<f64> = 1e9..4e9;
+    const UNIX_TIME_RANGE_S: std::ops::Range<f64> = 1e9..4e9;
     let mut there = values.iter().copied().filter(|value| !value.is_nan()).peekable();
     let mut before = f64::NEG_INFINITY;
     there.peek().is_some()
         && there.all(|value| {
             let is_next = value >= before;
             before = value;
-            is_next && UNIX_SECONDS_RANGE.contains(&value)
+            is_next && UNIX_TIME_RANGE_S.contains(&value)
         })
 }
 

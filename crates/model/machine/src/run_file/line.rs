@@ -6,7 +6,7 @@ use std::{
 };
 
 use crate::{
-    bounded_read::size_limit_text,
+    bounded_read::describe_size_limit,
     location::{InputFileError, Location},
 };
 
@@ -50,7 +50,7 @@ impl RunLine {
 }
 
 /// The lines of a file that is being read.
-pub(super) struct Lines<'p, S> {
+pub(super) struct RunFileLines<'p, S> {
     source: S,
     path: &'p Path,
     bytes: Vec<u8>,
@@ -62,7 +62,7 @@ pub(super) struct Lines<'p, S> {
     most_bytes: u64,
 }
 
-impl<'p, S: BufRead> Lines<'p, S> {
+impl<'p, S: BufRead> RunFileLines<'p, S> {
     /// Of a file that may have `most_bytes`.
     pub(super) fn new(source: S, path: &'p Path, most_bytes: u64) -> Self {
         Self { source, path, bytes: Vec::new(), number: 0, file_bytes: 0, most_bytes }
@@ -90,7 +90,7 @@ impl<'p, S: BufRead> Lines<'p, S> {
         }
         self.file_bytes += read as u64;
         if self.file_bytes > self.most_bytes {
-            let rule = format!("the file goes on here, {}", size_limit_text(self.most_bytes));
+            let rule = format!("the file goes on here, {}", describe_size_limit(self.most_bytes));
             return Err(LineReadError::Rest(InputFileError::new(self.location(1), rule)));
         }
         let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);

@@ -7,16 +7,16 @@ use rayon::prelude::*;
 use trueup_output::escape::{escape_line, shell_quote};
 
 use super::{
-    cells::ColumnFormats,
+    cell_format::ColumnFormats,
     clock, column_typos,
     faults::InputErrorList,
     field_positions::FieldPositions,
     fields::{Fields, QuoteError, detect_separator, parse_separator_line},
-    label,
-    line::{LineReadError, Lines, RunLine},
+    line::{LineReadError, RunFileLines, RunLine},
     numeric_row,
-    table::{Column, ColumnTypo, MAX_RUN_FILE_COLUMNS, RunTable, SizeLimits},
+    run_table::{ColumnTypo, MAX_RUN_FILE_COLUMNS, RunColumn, RunFileSizeLimits, RunTable},
     time_order::TimeOrder,
+    tool_label,
 };
 use crate::{
     known_columns,
@@ -58,11 +58,11 @@ const BYTES_PER_BATCH: usize = 1 << 20;
 
 /// Reads all of `source`.
 pub(super) fn read(
-    bounds: SizeLimits,
+    bounds: RunFileSizeLimits,
     source: impl BufRead,
     path: &Path,
 ) -> Result<RunTable, InputFileError> {
-    let mut lines = Lines::new(source, path, bounds.bytes);
+    let mut lines = RunFileLines::new(source, path, bounds.bytes);
     let mut stated = None;
     let header = loop {
         match lines.read_line().map_err(LineReadError::into_error)? {
@@ -114,7 +114,7 @@ impl<'p> RunReader<'p> {
         let mut faults = InputErrorList::default();
         let mut first_of_name = HashMap::new();
         for field in Fields::new(&line.text, separator) {
-            let field = field.map_err(|fault| input_error_from_quote(line, path, fault))?;
+            let field = field.map_err(|fault| input_error_from_quote_error(line, path, fault))?;
             // What would move a terminal's cursor is written out from here on, in every report and file.
             let shown = escape_line(field.text.trim());
             let name = shown.as_str();
@@ -164,7 +164,7 @@ impl<'p> RunReader<'p> {
                 name: axis.to_string(),
                 is_diameter,
                 is_direction: matches!(name, "dir_x" | "dir_y" | "dir_z"),
-                has_labels: label::can_have_labels(name),
+                has_labels: tool_label::can_have_labels(name),
                 values: Vec::new(),
                 starts: FieldPositions::new(),
             });
@@ -232,7 +232,7 @@ impl<'p> RunReader<'p> {
             return;
         }
         if let Err((column, rule, is_hour)) = self.order.check_row(&self.row, &self.cells) {
-            self.record_time_reversal(line, column, &rule, is_hour);
+            self.record_time_reversal_error(line, column, &rule, is_hour);
         }
         if self.faults.count() != faults_before {
             return;
@@ -253,7 +253,7 @@ impl<'p> RunReader<'p> {
                 Ok(field) => field,
                 Err(fault) => {
                     self.row.clear();
-                    return self.faults.push(input_error_from_quote(line, self.path, fault));
+                    return self.faults.push(input_error_from_quote_error(line, self.path, fault));
                 }
             };
             let there = self.row.len();
@@ -263,7 +263,7 @@ impl<'p> RunReader<'p> {
             };
             let cell = field.text.trim();
             let read = self.cells.parse_cell(there, &column.name, cell);
-            let read = if column.has_labels { label::parse(cell, read) } else { read };
+            let read = if column.has_labels { tool_label::parse(cell, read) } else { read };
             if let Ok(code) = read
                 && code < 0.0
                 && column.has_labels
@@ -299,7 +299,7 @@ impl<'p> RunReader<'p> {
         let mut fields = self.columns.iter().zip(&self.row);
         fields.any(|(column, (value, _))| {
             column.is_direction && check_direction(*value).is_err()
-                || column.has_labels && label::parse("", Ok(*value)).is_err()
+                || column.has_labels && tool_label::parse("", Ok(*value)).is_err()
         })
     }
 
@@ -327,7 +327,13 @@ impl<'p> RunReader<'p> {
     }
 
     /// The time runs back within a run; by an hour it may be summer time, which `import` takes out.
-    fn record_time_reversal(&mut self, line: &RunLine, column: usize, rule: &str, is_hour: bool) {
+    fn record_time_reversal_error(
+        &mut self,
+        line: &RunLine,
+        column: usize,
+        rule: &str,
+        is_hour: bool,
+    ) {
         if !is_hour {
             return self.record_value_error(line, self.row[column].1, column, rule);
         }
@@ -357,7 +363,7 @@ impl<'p> RunReader<'p> {
             if column.is_diameter {
                 column.values.iter_mut().for_each(|value| *value /= 2.0);
             }
-            Column {
+            RunColumn {
                 name: column.name,
                 values: column.values.into(),
                 starts: Arc::new(column.starts),
@@ -376,7 +382,7 @@ impl<'p> RunReader<'p> {
     }
 }
 
-fn input_error_from_quote(line: &RunLine, path: &Path, fault: QuoteError) -> InputFileError {
+fn input_error_from_quote_error(line: &RunLine, path: &Path, fault: QuoteError) -> InputFileError {
     InputFileError::new(line.location(path, fault.column), fault.rule)
         .with_help("numbers need no quotes; a quote inside a quoted name is written twice")
 }

@@ -151,7 +151,7 @@ fn a_run_of_200_000_rows_is_read_whole() {
 
 /// Returns the message about `text` where a file may have 40 bytes and 4 values.
 fn out_of_bounds(text: &str) -> String {
-    let bounds = SizeLimits { bytes: 40, values: 4 };
+    let bounds = RunFileSizeLimits { bytes: 40, values: 4 };
     let read = RunFile::read_within_limits(bounds, text.as_bytes(), Path::new("r.csv"));
     read.map(|_| ()).expect_err("out of bounds").to_string()
 }
@@ -166,7 +166,7 @@ fn a_file_that_goes_on_beyond_its_bounds_is_refused_there() {
     // Of a pipe nobody knows how long it will be.
     let blank = format!("{most}{}\n", " ".repeat(30));
     assert!(out_of_bounds(&blank).starts_with("r.csv:4:1: the file goes on here, more than"));
-    let bounds = SizeLimits { bytes: 40, values: 4 };
+    let bounds = RunFileSizeLimits { bytes: 40, values: 4 };
     let run = RunFile::read_within_limits(bounds, most.as_bytes(), Path::new("r.csv"));
     assert_eq!(run.expect("just within").row_count(), 2);
 }

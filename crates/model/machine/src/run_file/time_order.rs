@@ -1,6 +1,6 @@
 //! Rows are in time order within a `run`.
 
-use super::{cells::ColumnFormats, clock};
+use super::{cell_format::ColumnFormats, clock};
 
 /// A clock that is set back by an hour goes back by less, the time between two rows.
 const DST_STEP_BACK_S: std::ops::RangeInclusive<f64> = 2700.0..=3600.0;

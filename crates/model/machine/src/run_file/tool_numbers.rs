@@ -1,7 +1,10 @@
 //! The tools of a run with the numbers of a machine file.
 
 use super::RunFile;
-use crate::{file::Machine, location::InputFileError, sections::ToolGrowthList, tool::TOOL_COLUMN};
+use crate::{
+    location::InputFileError, machine_file::Machine, sections::ToolGrowthList,
+    tool_column::TOOL_COLUMN,
+};
 
 impl RunFile {
     /// Returns the label that a value of the column `tool` stands for, if it is one.

@@ -99,7 +99,7 @@ table! {
         /// K₀ and tanβ over T; at least one row.
         table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").with_example_value("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]").with_range(range([-1e6, 1e6], [-1e5, 1e5], [-1e3, 1e3], ERROR_RANGE_SOURCE));
     }
-    checked by require_reference
+    checked by require_reference_temperature
 }
 
 impl ThermalLaw {
@@ -117,10 +117,10 @@ impl ThermalLaw {
     ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 0.0, origin_mm: 0.0, lag_s: 0.0,
     ///     table: Some(vec![row(20.0, 0.0), row(30.0, 100.0)]),
     /// };
-    /// axis.shift_reference(2.0);
+    /// axis.shift_reference_temperature(2.0);
     /// assert_eq!(thermal_coefficients(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
     /// ```
-    pub fn shift_reference(&mut self, shift_c: f64) {
+    pub fn shift_reference_temperature(&mut self, shift_c: f64) {
         self.reference_c += shift_c;
         for row in self.table.iter_mut().flatten() {
             row.temperature_c += shift_c;
@@ -314,7 +314,7 @@ impl KeyValue for [f64; 2] {
     }
 }
 
-fn require_reference(
+fn require_reference_temperature(
     section: &Section<'_>,
     thermal: ThermalLaw,
 ) -> Result<ThermalLaw, InputFileError> {

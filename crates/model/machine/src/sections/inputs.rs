@@ -6,7 +6,7 @@ use trueup_core::calibration::MainsFrequency;
 
 use crate::{
     inputs::{
-        ADC_REFERENCE_VOLTS, ConditionInput, CountScale, Inputs, LinearInput,
+        ADC_REFERENCE_VOLTS, BoardInputs, ConditionInput, CountScale, LinearInput,
         MAX_TEMPERATURE_CHANNEL, RATE_LIMITS_C_PER_MIN, SensorInput, TemperatureInput,
         TemperatureKind,
     },
@@ -22,7 +22,7 @@ use crate::{
     },
     known_columns::is_known_column,
     location::InputFileError,
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
 pub(crate) const INPUT_KEYS: &[Key] = &[
@@ -94,8 +94,8 @@ table! {
 
 const CONDITION_KIND: &str = "condition";
 
-pub(crate) fn read(section: &Section<'_>) -> Result<Inputs, InputFileError> {
-    let mut inputs = Inputs::default();
+pub(crate) fn read(section: &Section<'_>) -> Result<BoardInputs, InputFileError> {
+    let mut inputs = BoardInputs::default();
     let mut column_of_channel = BTreeMap::new();
     for key in section.keys() {
         if key == "sensor" {
@@ -147,7 +147,12 @@ fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, I
 
 fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, InputFileError> {
     let sensor = SensorInput::read(section)?;
-    reject_above_adc_reference(section, "divider", sensor.volts_full_scale, sensor.divider)?;
+    reject_full_scale_above_adc_reference(
+        section,
+        "divider",
+        sensor.volts_full_scale,
+        sensor.divider,
+    )?;
     Ok(sensor)
 }
 
@@ -231,12 +236,12 @@ fn read_full_scale_and_divider(
     let full_scale_v = section.required("full_scale_v", keys.full_scale_v)?;
     let divider = section.required("divider", keys.divider)?;
     let key = section.first_present_key(&["divider"]).unwrap_or("full_scale_v");
-    reject_above_adc_reference(section, key, full_scale_v, divider)?;
+    reject_full_scale_above_adc_reference(section, key, full_scale_v, divider)?;
     Ok((full_scale_v, divider))
 }
 
 /// Refuses a divider that takes the full scale above the reference of the board's converter.
-fn reject_above_adc_reference(
+fn reject_full_scale_above_adc_reference(
     section: &Section<'_>,
     key: &str,
     full_scale_v: f64,
@@ -259,7 +264,7 @@ fn reject_above_adc_reference(
     Ok(())
 }
 
-pub(crate) fn write(inputs: &Inputs) -> NewSection {
+pub(crate) fn write(inputs: &BoardInputs) -> NewSection {
     let mut section = NewSection::new("inputs");
     section = write_key(section, &SERVICE_SWITCH_KEY, &inputs.service_switch);
     let mains_hz: u32 = if inputs.mains == MainsFrequency::Hz60 { 60 } else { 50 };

@@ -7,7 +7,7 @@ use crate::{
     inputs::SensorInput,
     keys::{
         key::{Key, ValueType, key, section},
-        range::range,
+        plausible_range::range,
         reader::Section,
         section::NewSection,
         table::{KeyValue, Table, choice, read_or_default, table, write_key},
@@ -119,7 +119,7 @@ table! {
         /// p: the heat is proportional to (n/n_rated)^p.
         speed_exponent: f64 = key(NotNegative, "", "growth is proportional to (n/`rated_rpm`) to this power; 0: any speed heats fully").with_default("0.0").with_range(range([0.0, 20.0], [0.0, 4.0], [0.0, 2.0], LAW_FORM_SOURCE));
     }
-    checked by check_consistency
+    checked by check_warmup_consistency
 }
 
 impl Warmup {
@@ -211,7 +211,10 @@ fn read_sensor_model(
     Ok(SensorModel { k0_um: keys.k0_um, zero_counts, um_per_count, temperature: keys.temperature })
 }
 
-fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, InputFileError> {
+fn check_warmup_consistency(
+    section: &Section<'_>,
+    warmup: Warmup,
+) -> Result<Warmup, InputFileError> {
     if warmup.warm_s <= warmup.lag_s {
         let rule = format!(
             "must be above lag_s = {}, not {}: the spindle warms up in between",

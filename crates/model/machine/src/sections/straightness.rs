@@ -8,7 +8,7 @@ use crate::{
             ValueType::{Number, Numbers, Whole},
             key, section,
         },
-        range::SPLINE_ORDER_RANGE,
+        plausible_range::SPLINE_ORDER_RANGE,
         reader::{MAX_ARRAY_LENGTH, Section},
         section::{NewSection, Value},
     },

@@ -6,13 +6,13 @@
 use crate::{
     keys::{
         key::{Key, ValueType, key, section},
-        range::SPEED_GROWTH_RANGE,
+        plausible_range::SPEED_GROWTH_RANGE,
         reader::Section,
         section::NewSection,
         table::{Table, build_inline_table, entries, table, to_inline_table},
     },
     location::{InputFileError, truncate_text},
-    tool::label_code,
+    tool_column::label_code,
 };
 
 /// The key of every tool that is not in the list.
@@ -138,7 +138,7 @@ pub(crate) fn read(section: &Section<'_>) -> Result<ToolGrowthList, InputFileErr
         }
         tools.push(ToolGrowth { number, label, um_per_krpm2 });
     }
-    let most = trueup_core::dimensions::MAX_TOOLS;
+    let most = trueup_core::design_parameters::MAX_TOOLS;
     if tools.len() > most {
         let last = tools[most].key();
         let rule = format!(

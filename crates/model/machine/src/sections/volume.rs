@@ -17,7 +17,7 @@ use crate::{
             ValueType::{Number, Numbers, Vector, Whole},
             key, section,
         },
-        range::SPLINE_ORDER_RANGE,
+        plausible_range::SPLINE_ORDER_RANGE,
         reader::Section,
         section::NewSection,
         table::{Table, read_or_default, table, write_key},

@@ -2,15 +2,15 @@
 
 use trueup_core::{
     calibration::Calibration,
-    dimensions::CHANNEL_COUNT,
+    design_parameters::TEMPERATURE_CHANNEL_COUNT,
     machine_position::MachinePosition,
+    reversal::ReversalTracker,
     thermal_state::MachineThermalState,
-    travel::ReversalTracker,
-    units::{FineNanometres, MicroDegrees, Nanometres, Position, Reading, Rpm, Temperature},
+    units::{FineNanometres, MicroDegrees, Nanometres, Position, Rpm, SensorReading, Temperature},
 };
 use trueup_machine::{
     CompiledCalibration, Machine,
-    file::ElongationSource,
+    machine_file::ElongationSource,
     model::{ReferenceModel, RowInputs},
 };
 
@@ -22,15 +22,15 @@ pub const BOUND_NM: f64 = 10.0;
 /// The inputs that do not depend on the position: one moment of temperatures, sensor and angles.
 pub struct Moment {
     time_s: f64,
-    reading: Reading,
+    reading: SensorReading,
     rpm: u16,
-    temperatures: [Option<Temperature>; CHANNEL_COUNT],
+    temperatures: [Option<Temperature>; TEMPERATURE_CHANNEL_COUNT],
     angles: [MicroDegrees; 2],
 }
 
 impl Moment {
     pub fn random(random: &mut Random, time_s: f64) -> Self {
-        let mut temperatures = [None; CHANNEL_COUNT];
+        let mut temperatures = [None; TEMPERATURE_CHANNEL_COUNT];
         for temperature in temperatures.iter_mut().take(COLUMNS.len()) {
             let celsius = random.uniform(5.0, 50.0);
             *temperature = Some(Temperature((celsius * UNITS_PER_C).round() as i32));
@@ -39,7 +39,7 @@ impl Moment {
             |random: &mut Random| MicroDegrees(random.below(720_000_001) as i32 - 360_000_000);
         Self {
             time_s,
-            reading: Reading(random.below(4_096 << 10) as i32),
+            reading: SensorReading(random.below(4_096 << 10) as i32),
             rpm: [0, 24_000, random.below(30_001) as u16][random.below(3) as usize],
             temperatures,
             angles: [angle(random), angle(random)],

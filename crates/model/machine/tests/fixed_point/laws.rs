@@ -5,7 +5,7 @@ use std::path::Path;
 use trueup_core::{
     machine_position::MachinePosition,
     thermal_state::MachineThermalState,
-    units::{Position, Reading, Rpm, Temperature},
+    units::{Position, Rpm, SensorReading, Temperature},
 };
 use trueup_machine::{
     RunFile, compile,
@@ -30,7 +30,7 @@ fn neither_32768_nor_27648_counts_explain_table_1_and_a_fitted_line_does() {
         let board_um: Vec<f64> = counts
             .iter()
             .map(|&counts| {
-                let nm = f64::from(law.elongation(Reading((counts * 128.0) as i32)).0);
+                let nm = f64::from(law.elongation(SensorReading((counts * 128.0) as i32)).0);
                 assert!((nm - machine.elongation_um(counts) * 1_000.0).abs() <= 1.1, "{counts}");
                 nm / 1_000.0
             })

@@ -1,13 +1,13 @@
 //! The whole bridge: from inputs to the offset that leaves it.
 
 use trueup_core::{
-    bridge::{Bridge, State, TickInput},
+    bridge::{Bridge, BridgeState, TickInput},
     cnc::{
         AxisPosition, CncMessage, Control, LinearAxis, OffsetQuality, RotaryAxisAngles,
         TravelDirection,
     },
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
-    thermometer::RawReading,
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
+    thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm, TimestampMs},
 };
 use trueup_machine::{
@@ -20,9 +20,9 @@ use crate::gantry::*;
 /// A bridge with the hand that feeds it.
 pub struct Rig<'c> {
     pub bridge: Bridge<'c>,
-    pub state: State,
+    pub state: BridgeState,
     pub ms: u32,
-    pub raw: [RawReading; CHANNEL_COUNT],
+    pub raw: [RawTemperatureReading; TEMPERATURE_CHANNEL_COUNT],
     pub position_mm: [f64; 3],
     pub heading: [TravelDirection; 3],
     pub angles_deg: [f64; 2],
@@ -41,7 +41,7 @@ impl<'c> Rig<'c> {
             state: bridge.initial_state(),
             bridge,
             ms: 0,
-            raw: [RawReading::NONE; CHANNEL_COUNT],
+            raw: [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT],
             position_mm: [0.0; 3],
             heading: [TravelDirection::Positive; 3],
             angles_deg: [0.0; 2],
@@ -88,7 +88,8 @@ impl<'c> Rig<'c> {
     /// Paper 2's chain, 16 counts a kelvin above 4000.
     pub fn heat_to(&mut self, channel: usize, celsius: f64) {
         // With this divider 32768 counts are 4096 codes, delivered in 1/256.
-        self.raw[channel] = RawReading(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
+        self.raw[channel] =
+            RawTemperatureReading(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
     }
 }
 

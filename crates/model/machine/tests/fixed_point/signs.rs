@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use trueup_core::{
     cnc::TravelDirection,
-    units::{MicroDegrees, Nanometres, Reading},
+    units::{MicroDegrees, Nanometres, SensorReading},
 };
 use trueup_machine::model::{ReferenceModel, RowInputs};
 
@@ -19,7 +19,7 @@ fn growth_seen_by_the_sensor_is_an_error_downwards_and_an_offset_upwards() {
     let situation = RowInputs { sensor_counts: 9_144.0, ..at([0.0; 3]) };
     assert_signs(&machine, &mut rig, 500, &situation, [0.0, 0.0, -62_500.0]);
     let law = compiled.calibration().spindle.sensor;
-    assert_eq!(law.elongation(Reading(9_144 * 128)), Nanometres(62_500));
+    assert_eq!(law.elongation(SensorReading(9_144 * 128)), Nanometres(62_500));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The sum of all parts, at knots, at pitch points and at random.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-use trueup_core::curve::SEGMENT_SIZE;
+use trueup_core::curve::CURVE_SEGMENT_SIZE;
 use trueup_machine::Machine;
 
 use crate::{bench::*, gantry::*};
@@ -37,7 +37,7 @@ fn a_whole_gantry_fits_the_board_with_at_most_24_bytes_a_segment() {
         for curve in &calibration.straightness {
             let parts = (curve.segments().len(), curve.index().len());
             segments += parts.0;
-            of_curves += parts.0 * SEGMENT_SIZE + 2 * parts.1;
+            of_curves += parts.0 * CURVE_SEGMENT_SIZE + 2 * parts.1;
         }
         let each = of_curves as f64 / segments as f64;
         println!(

@@ -10,7 +10,7 @@ use trueup_core::{
     units::{MicroDegrees, Position},
 };
 use trueup_machine::{
-    decompile::{changes, decompile_to_toml},
+    decompile::{calibration_changes, decompile_to_toml},
     model::volumetric_error_um,
 };
 
@@ -120,8 +120,10 @@ fn a_drawn_volume_is_shown_as_a_file_that_compiles_to_it_again() {
         let off_mm = tips[0].iter().zip(tips[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off_mm < 1e-5, "{tips:?}");
         assert_eq!(again.kind, machine.kind);
-        let reported =
-            changes::describe_changes(&compiled.calibration(), &compiled_again.calibration());
+        let reported = calibration_changes::describe_changes(
+            &compiled.calibration(),
+            &compiled_again.calibration(),
+        );
         let of_volume = reported
             .iter()
             .all(|warning| warning.starts_with("angular") && warning.contains("0.00 µm"));

@@ -1,6 +1,6 @@
 //! Backlash that goes with the feed.
 
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
 use super::{AXIS, assert_near, predicted, term};
 

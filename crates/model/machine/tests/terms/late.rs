@@ -1,6 +1,6 @@
 //! A thermometer that is late.
 
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
 use super::{AXIS, TEMPERATURE, assert_near, predicted, term};
 

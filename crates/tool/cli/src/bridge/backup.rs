@@ -16,7 +16,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::json;
 use trueup_client::{
-    load,
+    calibration_load,
     reference::{BridgeReference, format_reference},
     saved_board::{BoardIdentity, SavedBoard},
     session::Session,
@@ -27,7 +27,7 @@ use super::{
     PortArgs,
     load::{LoadMode, LoadOutcome, confirm_with_user, load_calibration},
 };
-use crate::{Outcome, UserError, files, output, report};
+use crate::{CommandOutcome, UserError, input_files, output, report};
 
 /// No save file has more: a calibration of 16 KiB, twice in hexadecimal digits, and a log.
 const MAX_BACKUP_BYTES: u64 = 1 << 20;
@@ -56,7 +56,7 @@ pub struct RestoreArgs {
 }
 
 /// Writes all that the bridge holds to a file.
-pub fn save(args: &SaveArgs, as_json: bool) -> Result<Outcome> {
+pub fn save(args: &SaveArgs, as_json: bool) -> Result<CommandOutcome> {
     let saved = args
         .port
         .with_session(|session| save_backup(session, &args.file, args.overwrite, as_json))?;
@@ -74,7 +74,7 @@ pub fn save(args: &SaveArgs, as_json: bool) -> Result<Outcome> {
             saved.calibration.len()
         ))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Saves a bridge to a file. A file that holds anything else than its backup is not replaced without a yes.
@@ -93,7 +93,7 @@ pub fn save_backup(
             bail!(UserError("not saved: you did not confirm".into()));
         }
     }
-    let bar = super::comparison::byte_progress_bar("reading the calibration", 0);
+    let bar = super::calibration_comparison::byte_progress_bar("reading the calibration", 0);
     let saved = SavedBoard::read(session, |got, of| {
         bar.set_length(of.unwrap_or_default().into());
         bar.set_position(got as u64);
@@ -112,7 +112,7 @@ fn foreign_content(file: &Path, owner: &BoardIdentity) -> Option<String> {
     {
         return None;
     }
-    let text = files::read_text(file, MAX_BACKUP_BYTES).unwrap_or_else(|_| "?".into());
+    let text = input_files::read_text(file, MAX_BACKUP_BYTES).unwrap_or_else(|_| "?".into());
     if text.is_empty() {
         return None;
     }
@@ -144,7 +144,7 @@ impl RestoreOutcome {
 /// Reads a file that `save` wrote.
 pub fn read_backup(file: &Path) -> Result<SavedBoard, UserError> {
     let bad = |rule: String| UserError(format!("{}: {rule}", file.display()));
-    let text = files::read_text(file, MAX_BACKUP_BYTES)?;
+    let text = input_files::read_text(file, MAX_BACKUP_BYTES)?;
     SavedBoard::parse(&text).map_err(bad)
 }
 
@@ -158,7 +158,9 @@ pub fn restore_board(
     let runs = !how.keep_running && loaded.running == loaded.crc;
     // It belongs to the calibration that it was taken with.
     let reference = saved.reference.map(|nm| match runs {
-        true => load::offer_reference(session, nm).map_err(|error| format!("{error:#}")),
+        true => {
+            calibration_load::offer_reference(session, nm).map_err(|error| format!("{error:#}"))
+        }
         false => Err("the board does not run on this calibration yet".into()),
     });
     if runs {
@@ -168,14 +170,14 @@ pub fn restore_board(
 }
 
 /// Gives a bridge what `save` has kept of another one.
-pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
+pub fn restore_backup(args: &RestoreArgs, as_json: bool) -> Result<CommandOutcome> {
     // What counts is what becomes of the board.
     trueup_output::enable_best_effort_output();
     let saved = read_backup(&args.file)?;
     let is_bound =
         decode(&saved.calibration).is_ok_and(|calibration| calibration.names.board != [0; 3]);
     if !saved.has_checksum() && saved.reference.is_some() {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{}: has no checksum (version 0.2 wrote it): look at the reference before you confirm it",
             args.file.display()
         ));
@@ -197,7 +199,7 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
              anything is cut",
             now.to_text()
         )),
-        (Some(nm), Some(Err(why))) => report::warn(format_args!(
+        (Some(nm), Some(Err(why))) => report::print_warning(format_args!(
             "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets \
              count from the calibration's own zero. Before anything is cut: bring the machine \
              into the state in which tools are touched off and home it. Then let the CNC set \
@@ -231,5 +233,5 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
         notes.iter().try_for_each(output::print)?;
         loaded.questions.print()?;
     }
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }

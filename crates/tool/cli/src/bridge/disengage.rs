@@ -9,7 +9,7 @@ use trueup_client::{
 };
 
 use super::PortArgs;
-use crate::{Outcome, output, report};
+use crate::{CommandOutcome, output, report};
 
 /// Nanometres in a micrometre.
 const NM_PER_UM: f64 = 1_000.0;
@@ -21,7 +21,7 @@ pub struct DisengageArgs {
 }
 
 /// Takes them back, and waits until they are 0.
-pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &DisengageArgs, as_json: bool) -> Result<CommandOutcome> {
     trueup_output::enable_best_effort_output();
     let mut is_reported = false;
     let mut report_start = |now_nm| {
@@ -38,7 +38,7 @@ pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
         DisengageOutcome::AtRest(_) => ("nothing", [Some(0); 3]),
         DisengageOutcome::Done { from_nm, .. } => ("disengaged", from_nm),
         DisengageOutcome::CncCommands(nm) => ("refused", nm),
-        DisengageOutcome::Stands(nm) => ("stands", nm),
+        DisengageOutcome::Stalled(nm) => ("stands", nm),
     };
     if as_json {
         let um = nm.map(|nm| nm.map(|nm| f64::from(nm) / NM_PER_UM));
@@ -54,24 +54,26 @@ pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
                 format_offsets(from_nm),
                 took.as_secs_f64()
             ))?,
-            DisengageOutcome::CncCommands(_) | DisengageOutcome::Stands(_) => {}
+            DisengageOutcome::CncCommands(_) | DisengageOutcome::Stalled(_) => {}
         }
     }
     match done {
-        DisengageOutcome::AtRest(_) | DisengageOutcome::Done { .. } => return Ok(Outcome::Done),
-        DisengageOutcome::CncCommands(nm) => report::warn(format_args!(
+        DisengageOutcome::AtRest(_) | DisengageOutcome::Done { .. } => {
+            return Ok(CommandOutcome::Done);
+        }
+        DisengageOutcome::CncCommands(nm) => report::print_warning(format_args!(
             "a CNC commands this bridge and follows its offset, {}: nothing was sent, for it \
              may be cutting. Disengage there. LinuxCNC: halcmd setp trueup.0.enable 0 (or the \
              signal on that pin). SINUMERIK: the input ENABLE of the block. Modbus: bit 0 of \
              Control. trueup virtual: type disengage where it runs",
             format_offsets(nm)
         )),
-        DisengageOutcome::Stands(nm) => report::warn(format_args!(
+        DisengageOutcome::Stalled(nm) => report::print_warning(format_args!(
             "the offset, {}, does not go to 0: another line commands the bridge; disengage there",
             format_offsets(nm)
         )),
     }
-    Ok(Outcome::NotMet)
+    Ok(CommandOutcome::NotMet)
 }
 
 /// Returns the offsets in µm.

@@ -3,10 +3,10 @@
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_client::{load, reference::BridgeReference};
+use trueup_client::{calibration_load, reference::BridgeReference};
 
 use super::{PortArgs, operator_questions::OpenQuestions};
-use crate::{Outcome, output};
+use crate::{CommandOutcome, output};
 
 #[derive(Args)]
 pub struct ForgetReferenceArgs {
@@ -15,15 +15,15 @@ pub struct ForgetReferenceArgs {
 }
 
 /// Drops the reference; errors then count from the calibration's own zero.
-pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<CommandOutcome> {
     let (before, questions) = args.port.with_session(|session| {
         let before = BridgeReference::read(session)?;
-        load::forget_reference(session)?;
+        calibration_load::forget_reference(session)?;
         Ok((before, OpenQuestions::read(session)?))
     })?;
     if as_json {
         output::print(json!({ "forgotten": before.to_json(), "asks": questions.keywords() }))?;
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
     match before.effective_value() {
         None => output::print("there was no reference; what was learned is dropped")?,
@@ -35,5 +35,5 @@ pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
         }
     }
     questions.print()?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

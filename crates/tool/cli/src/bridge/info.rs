@@ -12,9 +12,9 @@ use serde_json::{Value, json};
 use trueup_client::{
     build::BuildVersion,
     firmware_slots::FirmwareSlots,
-    object,
-    port::Port,
+    port::PortAddress,
     reference::BridgeReference,
+    sdo_object,
     session::Session,
     state_text::{
         fault_names, format_output, nmt_state_name, output_to_json, pending_action, state_names,
@@ -26,14 +26,14 @@ use trueup_learn::live_update;
 use trueup_link::{
     frames::{self, NmtState},
     receiver::OffsetReceiver,
-    slcan::Event,
+    slcan::AdapterMessage,
     status::{ResetReason, StateBits},
 };
 use trueup_machine::compile;
 use trueup_store::write_log::WriteRecord;
 
-use super::{comparison, operator_questions::OpenQuestions};
-use crate::{Outcome, files, output};
+use super::{calibration_comparison, operator_questions::OpenQuestions};
+use crate::{CommandOutcome, input_files, output};
 
 #[derive(Args)]
 pub struct InfoArgs {
@@ -58,9 +58,9 @@ struct BridgeInfo {
 }
 
 impl BridgeInfo {
-    fn receive(&mut self, event: &Event) {
+    fn receive(&mut self, event: &AdapterMessage) {
         match event {
-            Event::Other(line) => {
+            AdapterMessage::Other(line) => {
                 let text = || String::from_utf8_lossy(line).into_owned();
                 match line.first() {
                     Some(b'V') => self.version = Some(text()),
@@ -68,14 +68,14 @@ impl BridgeInfo {
                     _ => {}
                 }
             }
-            Event::Frame(frame) => {
+            AdapterMessage::Frame(frame) => {
                 let state = frames::decode_heartbeat(frame).ok();
                 // Boot-up is not a state yet; the next heartbeat has one.
                 let state = state.filter(|state| *state != frames::NmtState::BootUp);
                 self.heartbeat = state.or(self.heartbeat);
                 self.output = self.offsets.accept(frame).ok().flatten().or(self.output);
             }
-            Event::Accepted | Event::Refused | Event::Malformed(_) => {}
+            AdapterMessage::Accepted | AdapterMessage::Rejected | AdapterMessage::Malformed(_) => {}
         }
     }
 
@@ -122,29 +122,32 @@ struct BridgeObjects {
 impl BridgeObjects {
     fn read(session: &mut Session) -> Result<Self> {
         Ok(Self {
-            device: object::read_text(session, object::DEVICE_NAME)?,
-            hardware: object::read_text(session, object::HARDWARE_VERSION)?,
-            software: comparison::check_firmware_build(session)?,
+            device: sdo_object::read_text(session, sdo_object::DEVICE_NAME)?,
+            hardware: sdo_object::read_text(session, sdo_object::HARDWARE_VERSION)?,
+            software: calibration_comparison::check_firmware_build(session)?,
             slots: FirmwareSlots::read(session)?,
-            calibration: object::read_number(session, object::RUNNING_CRC)?,
-            new_calibration: object::read_number(session, object::PENDING_CRC)?,
+            calibration: sdo_object::read_number(session, sdo_object::RUNNING_CRC)?,
+            new_calibration: sdo_object::read_number(session, sdo_object::PENDING_CRC)?,
             // An empty one is refused.
-            machine: object::read_text(session, object::MACHINE_NAME).unwrap_or_default(),
-            serial: object::read_text(session, object::MACHINE_SERIAL).unwrap_or_default(),
+            machine: sdo_object::read_text(session, sdo_object::MACHINE_NAME).unwrap_or_default(),
+            serial: sdo_object::read_text(session, sdo_object::MACHINE_SERIAL).unwrap_or_default(),
             writes: write_log::decode_write_records(
-                &object::read(session, object::WRITE_LOG, |_, _| ()).unwrap_or_default(),
+                &sdo_object::read(session, sdo_object::WRITE_LOG, |_, _| ()).unwrap_or_default(),
             ),
             reference: BridgeReference::read(session)?,
-            learned: learned_values_text(session),
-            conditions: conditions_text(session),
-            faults: fault_names(object::read_faults(session)?),
-            state: state_names(StateBits(object::read_number(session, object::STATE_BITS)?)),
+            learned: describe_learned_values(session),
+            conditions: describe_conditions(session),
+            faults: fault_names(sdo_object::read_faults(session)?),
+            state: state_names(StateBits(sdo_object::read_number(
+                session,
+                sdo_object::STATE_BITS,
+            )?)),
             questions: OpenQuestions::read(session)?,
-            reset: u16::try_from(object::read_number(session, object::RESET_REASON)?)
+            reset: u16::try_from(sdo_object::read_number(session, sdo_object::RESET_REASON)?)
                 .ok()
                 .and_then(ResetReason::from_wire)
                 .unwrap_or_default(),
-            stop: crash_location_text(session)?,
+            stop: describe_crash_location(session)?,
             resets: read_reset_counts(session)?,
         })
     }
@@ -157,7 +160,7 @@ impl BridgeObjects {
         }
     }
 
-    fn calibration_text(&self) -> String {
+    fn describe_calibration(&self) -> String {
         let new = match self.new_calibration {
             0 => String::new(),
             crc if crc == self.calibration => String::new(),
@@ -199,16 +202,16 @@ fn print_firmware_slots(slots: &FirmwareSlots) -> Result<()> {
 }
 
 /// Returns the learned values in words; none of a bridge whose firmware is older than they are.
-fn learned_values_text(session: &mut Session) -> Option<String> {
-    let amounts = object::LEARNED_VALUES
-        .map(|at| object::read_number(session, at).unwrap_or_default().cast_signed());
+fn describe_learned_values(session: &mut Session) -> Option<String> {
+    let amounts = sdo_object::LEARNED_VALUES
+        .map(|at| sdo_object::read_number(session, at).unwrap_or_default().cast_signed());
     live_update::describe_amounts(&amounts)
 }
 
 /// Returns tool and conditions in words; none of a bridge whose firmware is older than the frame `Conditions`.
-fn conditions_text(session: &mut Session) -> Option<String> {
+fn describe_conditions(session: &mut Session) -> Option<String> {
     let [tool, bits, origin] =
-        object::CONDITIONS.map(|at| object::read_number(session, at).unwrap_or_default());
+        sdo_object::CONDITIONS.map(|at| sdo_object::read_number(session, at).unwrap_or_default());
     let held: Vec<String> =
         (0..16).filter(|bit| bits & 1 << bit != 0).map(|bit| bit.to_string()).collect();
     let held = if held.is_empty() { "none".into() } else { format!("bit {}", held.join(", ")) };
@@ -220,15 +223,16 @@ fn conditions_text(session: &mut Session) -> Option<String> {
 }
 
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
-fn crash_location_text(session: &mut Session) -> Result<String> {
+fn describe_crash_location(session: &mut Session) -> Result<String> {
     let mut numbers = [0; 5];
-    for (number, at) in numbers.iter_mut().zip(object::CRASH_REGISTERS) {
-        *number = object::read_number(session, at)?;
+    for (number, at) in numbers.iter_mut().zip(sdo_object::CRASH_REGISTERS) {
+        *number = sdo_object::read_number(session, at)?;
     }
     let [pc, lr, status, address, line] = numbers;
     let mut words = String::new();
     if line != 0 {
-        words += &format!(" at {}:{line}", object::read_text(session, object::CRASH_FILE_NAME)?);
+        words +=
+            &format!(" at {}:{line}", sdo_object::read_text(session, sdo_object::CRASH_FILE_NAME)?);
     }
     if pc != 0 || status != 0 {
         words += &format!(" at pc {pc:#010x}, lr {lr:#010x}, CFSR {status:#010x}");
@@ -236,8 +240,8 @@ fn crash_location_text(session: &mut Session) -> Result<String> {
     if address != 0 {
         words += &format!(", address {address:#010x}");
     }
-    let task = usize::try_from(object::read_number(session, object::CRASH_TASK)?)?;
-    if let Some(task) = task.checked_sub(1).and_then(|at| object::TASK_NAMES.get(at)) {
+    let task = usize::try_from(sdo_object::read_number(session, sdo_object::CRASH_TASK)?)?;
+    if let Some(task) = task.checked_sub(1).and_then(|at| sdo_object::TASK_NAMES.get(at)) {
         words += &format!(", in task {task}");
     }
     Ok(words)
@@ -245,10 +249,10 @@ fn crash_location_text(session: &mut Session) -> Result<String> {
 
 /// Returns the reasons for which the board has started since power-on, and how often.
 fn read_reset_counts(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
-    let (index, first) = object::FIRST_RESET_COUNT;
+    let (index, first) = sdo_object::FIRST_RESET_COUNT;
     let mut all = Vec::new();
     for (number, subindex) in (0..).zip(first..).take(ResetReason::COUNT) {
-        let count = object::read_number(session, (index, subindex))?;
+        let count = sdo_object::read_number(session, (index, subindex))?;
         let word = ResetReason::from_wire(number).unwrap_or_default().as_str();
         all.extend((count > 0).then_some((word, count)));
     }
@@ -260,19 +264,19 @@ enum CalibrationComparison {
     /// No file was given, or the bridge did not answer.
     None,
     /// It runs on nothing that can be compared.
-    Nothing,
+    NoComparableCalibration,
     /// The differences from the calibration that it runs on, a sentence each; empty: none.
     Differences(Vec<String>),
 }
 
 /// Reads the state of the bridge and prints it.
-pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
-    let port = Port::parse(&args.port.port)?;
+pub fn run(args: &InfoArgs, as_json: bool) -> Result<CommandOutcome> {
+    let port = PortAddress::parse(&args.port.port)?;
     let requested = match &args.machine {
-        Some(path) => Some(compile(&files::read_machine(path)?)?),
+        Some(path) => Some(compile(&input_files::read_machine(path)?)?),
         None => None,
     };
-    let has_adapter = port.has_adapter();
+    let has_adapter = port.uses_slcan();
     let mut session = Session::open(&port)?;
     session.write(b"V\rN\r")?;
     let deadline = Instant::now() + RESPONSE_TIMEOUT;
@@ -296,13 +300,16 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
     };
     let mut comparison = CalibrationComparison::None;
     if let (Some(it), Some(requested)) = (&objects, &requested) {
-        comparison = match comparison::calibration_differences(&mut session, requested.blob())? {
+        comparison = match calibration_comparison::describe_calibration_differences(
+            &mut session,
+            requested.blob(),
+        )? {
             // What the board computes is the same; the bytes may have been written by another version.
             Some(all) => CalibrationComparison::Differences(all),
             None if it.calibration == requested.crc() => {
                 CalibrationComparison::Differences(Vec::new())
             }
-            None => CalibrationComparison::Nothing,
+            None => CalibrationComparison::NoComparableCalibration,
         };
     }
     session.close();
@@ -314,23 +321,23 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
         output::print(all)?;
     } else {
         info.print(objects.as_ref())?;
-        comparison.print(args.machine.as_deref())?;
+        comparison.print_comparison(args.machine.as_deref())?;
     }
     let is_other = match &comparison {
         CalibrationComparison::None => false,
-        CalibrationComparison::Nothing => true,
+        CalibrationComparison::NoComparableCalibration => true,
         CalibrationComparison::Differences(all) => !all.is_empty(),
     };
     let is_met = objects.is_some() && info.is_complete(false) && !is_other;
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 impl CalibrationComparison {
-    fn print(&self, machine: Option<&Path>) -> Result<()> {
+    fn print_comparison(&self, machine: Option<&Path>) -> Result<()> {
         let file = machine.map(|path| path.display().to_string()).unwrap_or_default();
         match self {
             Self::None => Ok(()),
-            Self::Nothing => {
+            Self::NoComparableCalibration => {
                 output::print(format_args!("{file}: the bridge runs on nothing like it"))
             }
             Self::Differences(all) if all.is_empty() => {
@@ -412,7 +419,7 @@ impl BridgeInfo {
         let BridgeObjects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
         it.slots.as_ref().map_or(Ok(()), print_firmware_slots)?;
-        output::print(format_args!("calibration  {}", it.calibration_text()))?;
+        output::print(format_args!("calibration  {}", it.describe_calibration()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
         output::print(format_args!("reference    {}", it.reference.to_text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing apart from the calibration");

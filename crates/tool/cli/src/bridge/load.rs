@@ -11,10 +11,10 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
 use trueup_client::{
-    load::{self, StoreStep},
-    object::{self, PENDING_CRC, QUALITY, RUNNING_CRC},
-    previous_calibration::PreviousCalibration,
+    calibration_load::{self, StoreStep},
+    previous_calibration::PreviousCalibrationStore,
     reference::BridgeReference,
+    sdo_object::{self, PENDING_CRC, QUALITY, RUNNING_CRC},
     session::Session,
     state_text::quality_name,
 };
@@ -27,8 +27,10 @@ use trueup_machine::{
 };
 use trueup_store::calibration::{calibration_crc, decode, validate_blob};
 
-use super::{PortArgs, comparison, operator_questions::OpenQuestions};
-use crate::{Outcome, UserError, files, output, report, show::MAX_CALIBRATION_FILE_BYTES};
+use super::{PortArgs, calibration_comparison, operator_questions::OpenQuestions};
+use crate::{
+    CommandOutcome, UserError, input_files, output, report, show::MAX_CALIBRATION_FILE_BYTES,
+};
 
 #[derive(Args)]
 pub struct LoadArgs {
@@ -88,7 +90,7 @@ impl LoadOutcome {
 }
 
 /// Loads the calibration of a file.
-pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LoadArgs, as_json: bool) -> Result<CommandOutcome> {
     // What counts is what becomes of the board.
     trueup_output::enable_best_effort_output();
     let named = args.calibration.as_deref().map(read_calibration_file).transpose()?;
@@ -96,7 +98,7 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
     let (loaded, blob) = args.port.with_session(|session| {
         let blob = match named {
             Some(blob) => blob,
-            None => read_calibration_file(&previous_calibration_file(session)?)?,
+            None => read_calibration_file(&find_previous_calibration_file(session)?)?,
         };
         Ok((load_calibration(session, &blob, args.how)?, blob))
     })?;
@@ -124,7 +126,7 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
             (true, _) => format!(
                 "used from the next start (trueup bridge pending --cancel drops it); now the bridge runs on {running:08x}"
             ),
-            (false, true) if questions.is_unblocked() => {
+            (false, true) if questions.permits_offsets() => {
                 "the bridge has restarted and uses it".into()
             }
             (false, true) => {
@@ -137,19 +139,19 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
             questions.print()?;
         }
     }
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 /// Reads the calibration in a file, without what follows it.
 fn read_calibration_file(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let bytes = files::read_bytes(path, MAX_CALIBRATION_FILE_BYTES)?;
+    let bytes = input_files::read_bytes(path, MAX_CALIBRATION_FILE_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = decompile(&calibration);
-    files::check_implausible_values(&path.display().to_string(), &range_findings(&machine))?;
+    input_files::check_implausible_values(&path.display().to_string(), &range_findings(&machine))?;
     envelope::check_envelope(&machine).map_err(|InputFileError { rule, .. }| bad(rule))?;
     if no_correction_warning(&machine).is_some() {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",
             path.display()
         ));
@@ -158,10 +160,10 @@ fn read_calibration_file(path: &Path) -> Result<Vec<u8>> {
 }
 
 /// Returns the file with the calibration that the bridge ran on before the present one.
-fn previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
-    let running = object::read_number(session, RUNNING_CRC)?;
-    let board = object::read_number(session, object::SERIAL_NUMBER)?;
-    let place = PreviousCalibration::for_board(board);
+fn find_previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
+    let running = sdo_object::read_number(session, RUNNING_CRC)?;
+    let board = sdo_object::read_number(session, sdo_object::SERIAL_NUMBER)?;
+    let place = PreviousCalibrationStore::for_board(board);
     if let Some(path) = place.as_ref().and_then(|place| place.find(running)) {
         return Ok(path);
     }
@@ -176,10 +178,10 @@ fn previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
 
 /// Keeps the calibration that was replaced. That it cannot be kept is no fault of the load.
 fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
-    let Ok(board) = object::read_number(session, object::SERIAL_NUMBER) else { return };
-    let Some(place) = PreviousCalibration::for_board(board) else { return };
+    let Ok(board) = sdo_object::read_number(session, sdo_object::SERIAL_NUMBER) else { return };
+    let Some(place) = PreviousCalibrationStore::for_board(board) else { return };
     if let Err(error) = place.save(replaced, by) {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "the previous calibration is not saved for --previous: {}: {error}",
             place.folder().display()
         ));
@@ -190,14 +192,15 @@ fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
 pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<LoadOutcome> {
     let crc = calibration_crc(blob);
     check_disengaged(session)?;
-    comparison::check_firmware_build(session)?;
-    let waiting = object::read_number(session, PENDING_CRC)?;
-    if waiting != 0 && waiting != crc && waiting != object::read_number(session, RUNNING_CRC)? {
-        report::warn(format_args!(
+    calibration_comparison::check_firmware_build(session)?;
+    let waiting = sdo_object::read_number(session, PENDING_CRC)?;
+    if waiting != 0 && waiting != crc && waiting != sdo_object::read_number(session, RUNNING_CRC)? {
+        report::print_warning(format_args!(
             "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
         ));
     }
-    let (replaced, differences) = comparison::compare_with_running_calibration(session, blob)?;
+    let (replaced, differences) =
+        calibration_comparison::compare_with_running_calibration(session, blob)?;
     let before = BridgeReference::read(session)?;
     match &differences {
         None => trueup_output::write_diagnostic("the bridge has no calibration to compare with"),
@@ -233,17 +236,19 @@ pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Re
         store_previous_calibration(session, &replaced, crc);
     }
     let running = match how.keep_running {
-        true => object::read_number(session, RUNNING_CRC)?,
-        false => match load::restart(session, crc) {
+        true => sdo_object::read_number(session, RUNNING_CRC)?,
+        false => match calibration_load::restart(session, crc) {
             Ok(running) if running != crc => {
-                let waits = object::read_number(session, PENDING_CRC)? == crc;
+                let waits = sdo_object::read_number(session, PENDING_CRC)? == crc;
                 if waits {
                     let failed = anyhow!("the bridge has not restarted");
-                    return Err(load::discard_failed_load(session, failed));
+                    return Err(calibration_load::discard_failed_load(session, failed));
                 }
                 running
             }
-            other => other.map_err(|error| load::discard_failed_load(session, error))?,
+            other => {
+                other.map_err(|error| calibration_load::discard_failed_load(session, error))?
+            }
         },
     };
     let after = BridgeReference::read(session)?;
@@ -253,7 +258,7 @@ pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Re
 
 /// Checks that no offset is being followed.
 pub fn check_disengaged(session: &mut Session) -> Result<()> {
-    let quality = object::read_number(session, QUALITY)?;
+    let quality = sdo_object::read_number(session, QUALITY)?;
     let quality = u8::try_from(quality).ok().and_then(OffsetQuality::from_wire);
     let quality = quality.context("the bridge sends an unknown quality")?;
     if !matches!(quality, OffsetQuality::Off | OffsetQuality::Fault) {
@@ -276,11 +281,11 @@ pub fn confirm_with_user(question: &str) -> Result<bool> {
 
 fn store_calibration(session: &mut Session, blob: &[u8], crc: u32) -> Result<()> {
     let mut bar: Option<(StoreStep, ProgressBar)> = None;
-    let stored = load::store_calibration(session, blob, crc, &mut |step, bytes| {
+    let stored = calibration_load::store_calibration(session, blob, crc, &mut |step, bytes| {
         if bar.as_ref().is_none_or(|(of, _)| *of != step) {
             let what = if step == StoreStep::Sending { "loading" } else { "reading back" };
             if let Some((_, before)) =
-                bar.replace((step, comparison::byte_progress_bar(what, blob.len())))
+                bar.replace((step, calibration_comparison::byte_progress_bar(what, blob.len())))
             {
                 before.finish_and_clear();
             }

@@ -8,15 +8,15 @@ use std::{
 
 use anyhow::Result;
 use clap::Args;
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 use trueup_screen::{
+    event_loop,
     indicator::{IndicatorConfig, IndicatorUnit},
-    live,
 };
 
-use super::{PortArgs, comparison, text_monitor};
+use super::{PortArgs, calibration_comparison, text_monitor};
 use crate::{
-    Outcome,
+    CommandOutcome,
     choice::{by_name, named},
 };
 
@@ -69,7 +69,7 @@ const INDICATOR_UNITS: [(IndicatorUnit, &str); 3] = [
 ];
 
 /// Shows the bridge, or prints a line a second.
-pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &MonitorArgs, as_json: bool) -> Result<CommandOutcome> {
     let is_screen = trueup_output::is_stdout_terminal() && stdin().is_terminal();
     let is_picture = args.picture.is_some();
     if !is_picture && (as_json || args.plain || args.count.is_some() || !is_screen) {
@@ -77,9 +77,9 @@ pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
         return text_monitor::run(&args.port.port, args.count, record, args.strict, as_json);
     }
     let unit = args.indicator_unit.unwrap_or(IndicatorUnit::Millimetre);
-    let is_sound = live::run(live::ScreenOptions {
+    let is_sound = event_loop::run(event_loop::ScreenOptions {
         port: args.port.port.clone(),
-        tool: comparison::tool_build(),
+        tool: calibration_comparison::tool_build_version(),
         machine: args.machine.clone(),
         record: args.record.clone(),
         is_strict: args.strict,
@@ -93,5 +93,5 @@ pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
             (path, Duration::from_secs(args.count.unwrap_or(DEFAULT_SNAPSHOT_DELAY_S)))
         }),
     })?;
-    Ok(if is_sound { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_sound { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }

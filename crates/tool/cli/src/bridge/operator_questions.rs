@@ -2,8 +2,8 @@
 
 use anyhow::Result;
 use trueup_client::{
-    object,
-    operator_questions::{CONFIRM_INSTRUCTIONS, open_questions},
+    operator_questions::{CONFIRM_INSTRUCTIONS, unanswered_questions},
+    sdo_object,
     session::Session,
 };
 use trueup_link::status::StateBits;
@@ -16,7 +16,7 @@ pub struct OpenQuestions(StateBits);
 impl OpenQuestions {
     /// Reads them from the bridge.
     pub fn read(session: &mut Session) -> Result<Self> {
-        Ok(Self(StateBits(object::read_number(session, object::STATE_BITS)?)))
+        Ok(Self(StateBits(sdo_object::read_number(session, sdo_object::STATE_BITS)?)))
     }
 
     /// Returns the state that they were read from.
@@ -30,18 +30,18 @@ impl OpenQuestions {
     }
 
     /// Returns whether there are none that bar every offset.
-    pub fn is_unblocked(&self) -> bool {
+    pub fn permits_offsets(&self) -> bool {
         self.keywords().iter().all(|word| *word == "heat-unknown")
     }
 
     /// Returns a word each, in the order in which `Confirm` answers them.
     pub fn keywords(&self) -> Vec<&'static str> {
-        open_questions(self.0).into_iter().map(|(word, _)| word).collect()
+        unanswered_questions(self.0).into_iter().map(|(word, _)| word).collect()
     }
 
     /// Prints each with what to do about it.
     pub fn print(&self) -> Result<()> {
-        let open = open_questions(self.0);
+        let open = unanswered_questions(self.0);
         if open.is_empty() {
             return Ok(());
         }

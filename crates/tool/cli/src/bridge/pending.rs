@@ -4,14 +4,14 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::json;
 use trueup_client::{
-    load,
-    object::{self, PENDING_CALIBRATION, PENDING_CRC, QUALITY, RUNNING_CRC},
+    calibration_load,
+    sdo_object::{self, PENDING_CALIBRATION, PENDING_CRC, QUALITY, RUNNING_CRC},
     session::Session,
 };
 use trueup_core::cnc::OffsetQuality;
 
-use super::{PortArgs, comparison, operator_questions::OpenQuestions};
-use crate::{Outcome, output};
+use super::{PortArgs, calibration_comparison, operator_questions::OpenQuestions};
+use crate::{CommandOutcome, output};
 
 #[derive(Args)]
 pub struct PendingArgs {
@@ -26,7 +26,7 @@ pub struct PendingArgs {
 }
 
 /// Shows what waits; with `--use` or `--cancel` nothing does any more.
-pub fn run(args: &PendingArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &PendingArgs, as_json: bool) -> Result<CommandOutcome> {
     args.port.with_session(|session| resolve_pending_calibration(args, session, as_json))
 }
 
@@ -34,33 +34,33 @@ fn resolve_pending_calibration(
     args: &PendingArgs,
     session: &mut Session,
     as_json: bool,
-) -> Result<Outcome> {
-    let pending = object::read_number(session, PENDING_CRC)?;
-    let mut running = object::read_number(session, RUNNING_CRC)?;
+) -> Result<CommandOutcome> {
+    let pending = sdo_object::read_number(session, PENDING_CRC)?;
+    let mut running = sdo_object::read_number(session, RUNNING_CRC)?;
     let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
-    let mut outcome = Outcome::Done;
+    let mut outcome = CommandOutcome::Done;
     let (mut changes, mut questions) = (None, None);
     let done = if pending == 0 {
         "nothing"
     } else if args.cancel {
-        load::drop_pending_calibration(session)?;
+        calibration_load::drop_pending_calibration(session)?;
         "cancelled"
     } else if args.takes {
-        let quality = u8::try_from(object::read_number(session, QUALITY)?).ok();
+        let quality = u8::try_from(sdo_object::read_number(session, QUALITY)?).ok();
         let quality = quality.and_then(OffsetQuality::from_wire);
         if !matches!(quality, Some(OffsetQuality::Off | OffsetQuality::Fault)) {
             bail!("nothing changes while offsets are being followed: let the CNC disengage first");
         }
-        running = load::restart_with_permission(session, pending)?;
+        running = calibration_load::restart_with_permission(session, pending)?;
         let after = OpenQuestions::read(session)?;
         if running != pending || after.has_foreign_calibration() {
-            outcome = Outcome::NotMet;
+            outcome = CommandOutcome::NotMet;
         }
         questions = Some(after);
         "used"
     } else {
-        let blob = object::read(session, PENDING_CALIBRATION, |_, _| ())?;
-        changes = comparison::calibration_differences(session, &blob)?;
+        let blob = sdo_object::read(session, PENDING_CALIBRATION, |_, _| ())?;
+        changes = calibration_comparison::describe_calibration_differences(session, &blob)?;
         "waits"
     };
     if as_json {

@@ -10,9 +10,9 @@ use std::{
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use trueup_client::{
-    object,
-    port::Port,
+    port::PortAddress,
     record::Recorder,
+    sdo_object,
     session::Session,
     state_text::{format_output, output_to_json, pending_action},
     status::BoardStatus,
@@ -21,12 +21,12 @@ use trueup_core::cnc::Output;
 use trueup_link::{
     frames::{self, NmtState},
     receiver::{FrameCounters, OffsetReceiver},
-    slcan::Event,
+    slcan::AdapterMessage,
 };
 
 use trueup_machine::{MachineFile, compile};
 
-use crate::{Outcome, UserError, output};
+use crate::{CommandOutcome, UserError, output};
 
 /// From one line to the next.
 const OUTPUT_LINE_PERIOD: Duration = Duration::from_secs(1);
@@ -43,8 +43,8 @@ pub fn run(
     record: Option<(&Path, Option<&Path>)>,
     is_strict: bool,
     as_json: bool,
-) -> Result<Outcome> {
-    let port = Port::parse(port)?;
+) -> Result<CommandOutcome> {
+    let port = PortAddress::parse(port)?;
     let machine = record.and_then(|(_, machine)| machine);
     let expected = match machine {
         Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
@@ -61,7 +61,7 @@ pub fn run(
         recorder.set_running_calibration(running);
     }
     let mut tally = MonitorStatistics::default();
-    let mut outcome = Outcome::Done;
+    let mut outcome = CommandOutcome::Done;
     let mut silent_lines = 0;
     // While it is lost it is opened again, if something is recorded.
     let mut session = Some(line);
@@ -114,7 +114,7 @@ pub fn run(
             bail!("no offsets for {} s: {hint}", MAX_SILENT_LINES);
         }
         if !second.is_error_free() {
-            outcome = Outcome::NotMet;
+            outcome = CommandOutcome::NotMet;
         }
         // A recording does not need a reader, and goes on.
         if !trueup_output::has_stdout_reader() && recorder.is_none() {
@@ -151,7 +151,7 @@ fn receive_events_until(
     };
     while let Some(event) = next(session)? {
         tally.receive(&event);
-        if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
+        if let (Some(recorder), AdapterMessage::Frame(frame)) = (&mut recorder, &event) {
             recorder.receive(frame, SystemTime::now())?;
             // It may have been given another one.
             if frames::decode_heartbeat(frame) == Ok(NmtState::BootUp) {
@@ -164,7 +164,7 @@ fn receive_events_until(
 
 /// Opens the line again, if that is possible until `line_end`.
 fn reconnect(
-    port: &Port,
+    port: &PortAddress,
     line_end: Instant,
     recorder: Option<&mut Recorder>,
     calibration: &ExpectedCalibration,
@@ -195,7 +195,7 @@ impl ExpectedCalibration {
     /// Returns the CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
     /// One that is not expected is reported, or refused.
     fn check_running_crc(&self, session: &mut Session) -> Result<Option<u32>> {
-        let crc = object::read_number(session, object::RUNNING_CRC);
+        let crc = sdo_object::read_number(session, sdo_object::RUNNING_CRC);
         let sentence = match (&crc, self.expected) {
             (Ok(running), Some(expected)) if *running != expected => format!(
                 "the bridge runs on the calibration {running:08x}, the machine file makes \
@@ -248,9 +248,9 @@ struct MonitorLine {
 }
 
 impl MonitorStatistics {
-    fn receive(&mut self, event: &Event) {
+    fn receive(&mut self, event: &AdapterMessage) {
         match event {
-            Event::Frame(frame) => {
+            AdapterMessage::Frame(frame) => {
                 self.frames += 1;
                 self.board.receive(frame);
                 // What is refused is counted in `offsets`.
@@ -258,8 +258,10 @@ impl MonitorStatistics {
                     self.output = Some(output);
                 }
             }
-            Event::Malformed(_) => self.malformed_lines = self.malformed_lines.saturating_add(1),
-            Event::Accepted | Event::Refused | Event::Other(_) => {}
+            AdapterMessage::Malformed(_) => {
+                self.malformed_lines = self.malformed_lines.saturating_add(1)
+            }
+            AdapterMessage::Accepted | AdapterMessage::Rejected | AdapterMessage::Other(_) => {}
         }
     }
 
@@ -272,7 +274,7 @@ impl MonitorStatistics {
             counters: self.offsets.counters(),
             refused_statuses: self.board.rejected_status_frame_count(),
             malformed_lines: self.malformed_lines,
-            unpaired: self.offsets.unpaired_count(),
+            unpaired: self.offsets.unpaired_frame_count(),
         }
     }
 }

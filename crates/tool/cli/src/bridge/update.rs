@@ -9,21 +9,23 @@ use std::{
 use anyhow::{Context as _, Result, anyhow, bail};
 use clap::Args;
 use serde_json::json;
-use trueup_boot::{boot_state::ImageStatus, flash_layout::Slot, refusal::RefusalReason};
+use trueup_boot::{
+    boot_state::ImageStatus, flash_layout::Slot, refusal_reason::FirmwareRejectReason,
+};
 use trueup_client::{
-    firmware::{self, FirmwareRefused, TransferReport},
     firmware_file::{FirmwareFile, MAX_FIRMWARE_FILE_BYTES, SlotFirmware},
     firmware_slots::{FirmwareSlots, SlotChoiceReason, UnsuitableFirmware},
-    port::Port as Line,
+    firmware_transfer::{self, FirmwareRejected, TransferReport},
+    port::PortAddress as Line,
     session::Session,
 };
 
 use super::{
-    PortArgs, comparison,
+    PortArgs, calibration_comparison,
     load::{LoadMode, check_disengaged, confirm_with_user},
     operator_questions::OpenQuestions,
 };
-use crate::{Outcome, UserError, files, output};
+use crate::{CommandOutcome, UserError, input_files, output};
 
 #[derive(Args)]
 pub struct UpdateArgs {
@@ -53,7 +55,7 @@ struct UpdateOutcome {
 }
 
 /// Updates the board with the firmware of a file.
-pub fn run(args: &UpdateArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &UpdateArgs, as_json: bool) -> Result<CommandOutcome> {
     // What counts is what becomes of the board.
     trueup_output::enable_best_effort_output();
     let file = read_firmware_file(&args.file)?;
@@ -71,12 +73,12 @@ pub fn run(args: &UpdateArgs, as_json: bool) -> Result<Outcome> {
     } else {
         updated.print(firmware, how)?;
     }
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 /// Reads and checks a file.
 fn read_firmware_file(path: &Path) -> Result<FirmwareFile, UserError> {
-    let bytes = files::read_bytes(path, MAX_FIRMWARE_FILE_BYTES)?;
+    let bytes = input_files::read_bytes(path, MAX_FIRMWARE_FILE_BYTES)?;
     FirmwareFile::parse(&bytes).map_err(|error| UserError(format!("{}: {error}", path.display())))
 }
 
@@ -85,7 +87,7 @@ fn to_user_error(error: anyhow::Error) -> anyhow::Error {
     if let Some(unsuitable) = error.downcast_ref::<UnsuitableFirmware>() {
         return UserError(format!("nothing is erased: {unsuitable}")).into();
     }
-    match error.downcast_ref::<FirmwareRefused>() {
+    match error.downcast_ref::<FirmwareRejected>() {
         Some(refused) if refused.is_file_defect() => {
             UserError(format!("{refused}. What runs is as before")).into()
         }
@@ -99,15 +101,15 @@ fn update_firmware<'f>(
     file: &'f FirmwareFile,
     how: LoadMode,
 ) -> Result<(&'f SlotFirmware, UpdateOutcome)> {
-    firmware::abort_open_transfer(session)?;
+    firmware_transfer::abort_open_transfer(session)?;
     check_disengaged(session)?;
     let Some(before) = FirmwareSlots::read(session)? else {
         bail!(UserError(format!(
             "nothing is erased: {}. trueup firmware writes the images that this tool carries",
-            RefusalReason::NoSlots
+            FirmwareRejectReason::NoSlots
         )));
     };
-    let firmware = before.part_for_spare_slot(file)?;
+    let firmware = before.select_firmware_for_spare_slot(file)?;
     let header = firmware.image.header;
     for slot in Slot::ALL {
         let runs = if slot == before.running { " (runs)" } else { "" };
@@ -130,8 +132,8 @@ fn update_firmware<'f>(
     if !how.yes && !confirm_with_user("Update it? [y/N] ")? {
         bail!(UserError("not updated: you did not confirm".into()));
     }
-    let bar = comparison::byte_progress_bar("updating", header.length as usize);
-    let stored = firmware::store_firmware(session, firmware, &mut |bytes| {
+    let bar = calibration_comparison::byte_progress_bar("updating", header.length as usize);
+    let stored = firmware_transfer::store_firmware(session, firmware, &mut |bytes| {
         bar.set_position(bytes.into());
         match IS_INTERRUPTED.load(Ordering::Relaxed) {
             true => Err(anyhow!("you have stopped it")),
@@ -142,7 +144,7 @@ fn update_firmware<'f>(
     let stored = stored?;
     let now = match how.keep_running {
         true => FirmwareSlots::read(session)?.unwrap_or(before),
-        false => firmware::restart(session, header.slot)
+        false => firmware_transfer::restart(session, header.slot)
             .context("the firmware is on the board, and starts next")?,
     };
     let questions = OpenQuestions::read(session)?;

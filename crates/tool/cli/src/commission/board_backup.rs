@@ -8,7 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail};
 use trueup_client::{
-    object, port::Port, reference::BridgeReference, saved_board::BoardIdentity, session::Session,
+    port::PortAddress, reference::BridgeReference, saved_board::BoardIdentity, sdo_object,
+    session::Session,
 };
 use trueup_link::status::StateBits;
 use trueup_machine::compile;
@@ -57,16 +58,16 @@ struct BoardContent {
 
 impl BoardContent {
     fn read_from_port(port: &str) -> Result<Self> {
-        with_session(&Port::parse(port)?, Self::read)
+        with_session(&PortAddress::parse(port)?, Self::read)
     }
 
     fn read(session: &mut Session) -> Result<Self> {
-        let state = StateBits(object::read_number(session, object::STATE_BITS)?);
-        let crc = object::read_number(session, object::RUNNING_CRC)?;
+        let state = StateBits(sdo_object::read_number(session, sdo_object::STATE_BITS)?);
+        let crc = sdo_object::read_number(session, sdo_object::RUNNING_CRC)?;
         let is_example = state.contains(StateBits::EXAMPLE_CONSTANTS);
         let mut has_learned = false;
-        for at in object::LEARNED_VALUES {
-            has_learned |= object::read_number(session, at).unwrap_or_default() != 0;
+        for at in sdo_object::LEARNED_VALUES {
+            has_learned |= sdo_object::read_number(session, at).unwrap_or_default() != 0;
         }
         Ok(Self {
             crc: if is_example { 0 } else { crc },

@@ -3,9 +3,9 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use trueup_client::{port::Port, session::Session};
+use trueup_client::{port::PortAddress, session::Session};
 use trueup_core::cnc::{OffsetQuality, Output};
-use trueup_link::{receiver::OffsetReceiver, slcan::Event};
+use trueup_link::{receiver::OffsetReceiver, slcan::AdapterMessage};
 
 use super::board_backup::check_interrupt;
 
@@ -17,13 +17,13 @@ const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(200);
 
 /// Until the bridge's offsets are as required.
 pub fn wait_for_output(port: &str, is_requested: impl Fn(&Output) -> bool) -> Result<()> {
-    let mut session = Session::open(&Port::parse(port)?)?;
+    let mut session = Session::open(&PortAddress::parse(port)?)?;
     let deadline = Instant::now() + OPERATOR_TIMEOUT;
     let mut offsets = OffsetReceiver::new();
     while Instant::now() < deadline {
         check_interrupt()?;
         let event = session.next_event(Instant::now() + INTERRUPT_POLL_PERIOD)?;
-        let Some(Event::Frame(frame)) = event else { continue };
+        let Some(AdapterMessage::Frame(frame)) = event else { continue };
         if let Ok(Some(output)) = offsets.accept(&frame)
             && is_requested(&output)
         {

@@ -4,16 +4,16 @@ use std::path::Path;
 
 use anyhow::Result;
 use trueup_diagnose::{Diagnosis, NextRun, NoNextRunReason, ReadingMethod};
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 use trueup_output::escape::shell_quote;
 use trueup_program::{
-    MeasurementOptions, Plan, ProgramError, SpeedSegment, TargetRun, control, plan_speed_run,
-    plan_target_run, template,
+    MeasurementOptions, MeasurementPlan, ProgramError, SpeedSegment, TargetRun, control,
+    plan_speed_run, plan_target_run, template,
 };
 
 use super::{DiagnoseArgs, DiagnosisInput};
 use crate::{
-    commands,
+    next_commands,
     output::{self, FileTransaction},
     program::Controller,
     report,
@@ -24,7 +24,7 @@ fn build_measurement_plan(
     next: &NextRun,
     machine: &Machine,
     options: &MeasurementOptions,
-) -> Result<Plan, ProgramError> {
+) -> Result<MeasurementPlan, ProgramError> {
     let separation = &next.separations[0];
     let why = format!("To separate {} from {}.", separation.causes[0], separation.causes[1]);
     if let Some(it) = &next.axis {
@@ -63,7 +63,7 @@ fn recorded_gauge_run_minutes(
 }
 
 /// Returns the command that diagnoses the runs before together with this one, as it can be typed.
-fn diagnose_command(args: &DiagnoseArgs) -> String {
+fn diagnosis_command(args: &DiagnoseArgs) -> String {
     // Every field: an omitted option would change the answer.
     let DiagnosisInput {
         machine,
@@ -94,7 +94,7 @@ fn diagnose_command(args: &DiagnoseArgs) -> String {
 }
 
 /// Writes it into the folder of the diagnosis, or says why there is none.
-pub fn write_next_run(
+pub fn write_next_run_plan(
     diagnosis: &Diagnosis,
     machine: &Machine,
     control: Controller,
@@ -106,7 +106,7 @@ pub fn write_next_run(
     let next = match diagnosis.next_run(gauge) {
         Ok(next) => {
             if let Some(minutes) = recorded_gauge_run_minutes(diagnosis, &next, gauge) {
-                report::warn(format_args!(
+                report::print_warning(format_args!(
                     "with a gauge that a program records the next run lasts {minutes:.0} minutes instead of {:.0}: --gauge auto",
                     next.minutes
                 ));
@@ -121,7 +121,7 @@ pub fn write_next_run(
                 gauge == ReadingMethod::Hand && diagnosis.next_run(ReadingMethod::Auto).is_ok();
             let more =
                 if is_by_hand { "; readings that a program records do: --gauge auto" } else { "" };
-            report::warn(format_args!("no next run: {why}{more}"));
+            report::print_warning(format_args!("no next run: {why}{more}"));
             return Ok(());
         }
     };
@@ -132,14 +132,14 @@ pub fn write_next_run(
     let mut plan = match planned {
         Ok(plan) => plan,
         Err(refused) => {
-            report::warn(format_args!(
+            report::print_warning(format_args!(
                 "no program of the next run ({}): {refused}",
                 next.sentence()
             ));
             return Ok(());
         }
     };
-    plan.then = vec![diagnose_command(args)];
+    plan.then = vec![diagnosis_command(args)];
     let (name, text) = control::generate_program(&plan, control.to_control())?;
     let mut texts = vec![
         (name.clone(), text),
@@ -162,7 +162,7 @@ pub fn write_next_run(
         out.join(name).display(),
         out.join("next.csv").display()
     ))?;
-    commands::print_next_commands(&plan.then)
+    next_commands::print_next_commands(&plan.then)
 }
 
 #[cfg(test)]
@@ -184,6 +184,6 @@ mod tests {
         let cli = Cli::parse_from(typed.split_whitespace());
         let expected = "trueup diagnose --machine m.toml --run a.csv --run d/next.csv --off b.csv --holdout c.csv \
                         --applied-once --quantity dx --matters-um 3 --instrument-um 1.5 --out d-next";
-        assert_eq!(diagnose_command(&cli.args), expected);
+        assert_eq!(diagnosis_command(&cli.args), expected);
     }
 }

@@ -7,9 +7,9 @@ use trueup_fit::{
     pitch::TableMode,
     straightness::{self, FitMethod, ReferenceLine},
 };
-use trueup_machine::file::{ElongationSource, ThermalMode};
+use trueup_machine::machine_file::{ElongationSource, ThermalMode};
 
-use crate::choice::described;
+use crate::choice::described_choice_parser;
 
 /// Fits a section of the machine file to measured runs, and says how well.
 ///
@@ -108,7 +108,7 @@ pub struct CurveArgs {
     #[arg(long, value_name = "UM")]
     pub tolerance_um: Option<f64>,
     /// The straight line from which the error counts.
-    #[arg(long, default_value = "as-measured", value_parser = described(REFERENCE_LINES))]
+    #[arg(long, default_value = "as-measured", value_parser = described_choice_parser(REFERENCE_LINES))]
     pub reference: ReferenceLine,
 }
 
@@ -186,7 +186,7 @@ pub struct StraightnessArgs {
     #[command(flatten)]
     pub curve: CurveArgs,
     /// How the curve is found.
-    #[arg(long, default_value = "least-squares", value_parser = described(FIT_METHODS))]
+    #[arg(long, default_value = "least-squares", value_parser = described_choice_parser(FIT_METHODS))]
     pub method: FitMethod,
 }
 
@@ -236,7 +236,7 @@ pub struct PitchArgs {
     #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
     /// One table, or one for each direction.
-    #[arg(long, default_value = "automatic", value_parser = described(TABLE_MODES))]
+    #[arg(long, default_value = "automatic", value_parser = described_choice_parser(TABLE_MODES))]
     pub ways: TableMode,
 }
 
@@ -264,7 +264,7 @@ pub struct ElongationArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The input that the growth depends on. Default: the machine file's source, else the run's columns.
-    #[arg(long, value_parser = described(ELONGATION_SOURCES))]
+    #[arg(long, value_parser = described_choice_parser(ELONGATION_SOURCES))]
     pub source: Option<ElongationSource>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
@@ -291,7 +291,7 @@ pub struct ThermalArgs {
     #[command(flatten)]
     pub error: AxisErrorArgs,
     /// The terms of the model. Default: those of the machine file, else those that the run shows.
-    #[arg(long, value_parser = described(THERMAL_MODES))]
+    #[arg(long, value_parser = described_choice_parser(THERMAL_MODES))]
     pub mode: Option<ThermalMode>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]

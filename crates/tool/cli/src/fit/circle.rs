@@ -8,25 +8,25 @@ use trueup_fit::{
     ResidualStatistics,
     circle::{
         self, CircleFinding, CircleReport, CircleResult, CircleVerdict, CircularDeviations,
-        page::title,
+        html_report::title,
     },
 };
 
-use super::{args::CircleArgs, check_output_text, read_machine_source, report};
-use crate::{Outcome, files, origin, output};
+use super::{args::CircleArgs, check_output_text, read_machine_with_source, report};
+use crate::{CommandOutcome, input_files, output, provenance};
 
 /// Fits, writes and prints.
-pub fn run(args: &CircleArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CircleArgs, as_json: bool) -> Result<CommandOutcome> {
     let measured = &args.common.measured;
-    let machine = measured.machine.as_deref().map(read_machine_source).transpose()?;
+    let machine = measured.machine.as_deref().map(read_machine_with_source).transpose()?;
     let of_file = machine.as_ref().map(|(_, _, machine)| machine);
-    let runs = files::read_runs_for_fit(&measured.run, of_file)?;
+    let runs = input_files::read_runs_for_fit(&measured.run, of_file)?;
     let report = circle::fit_circles(&runs, of_file)?;
-    report.warnings.iter().for_each(crate::report::warn);
+    report.warnings.iter().for_each(crate::report::print_warning);
 
     let inputs: Vec<&Path> =
         measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
-    let page = circle::build_page(&report, &origin::from_files(&inputs)?).to_html();
+    let page = circle::build_page(&report, &provenance::provenance_from_files(&inputs)?).to_html();
     let output = &args.common.output;
     let is_written = !report.edit.is_empty();
     let json = report_json(&report, is_written.then_some(output));
@@ -57,7 +57,7 @@ pub fn run(args: &CircleArgs, as_json: bool) -> Result<Outcome> {
         output::print(circle_text(&report, output))?;
     }
     let is_met = report.verdict != CircleVerdict::Unexplained;
-    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 fn circle_text(report: &CircleReport, output: &Path) -> String {
@@ -71,7 +71,7 @@ fn circle_text(report: &CircleReport, output: &Path) -> String {
             record.radius_mm,
             record.rows.len()
         ));
-        lines.push(format!("  {}", deviations_text(&it.figures)));
+        lines.push(format!("  {}", format_deviations(&it.figures)));
         for finding in &it.findings {
             let state = match (finding.claimed, finding.compensated) {
                 (true, true) => "written",
@@ -99,11 +99,11 @@ fn circle_text(report: &CircleReport, output: &Path) -> String {
         lines.extend(report::excluded_row_lines(&it.excluded));
     }
     lines.extend(report.written.iter().map(|written| format!("  {written}")));
-    lines.push(report::output_summary(!report.edit.is_empty(), output));
+    lines.push(report::describe_output(!report.edit.is_empty(), output));
     lines.join("\n")
 }
 
-fn deviations_text(figures: &CircularDeviations) -> String {
+fn format_deviations(figures: &CircularDeviations) -> String {
     let mut messages = Vec::new();
     let mut add = |name: &str, um: Option<f64>| {
         messages.extend(um.map(|um| format!("{name} {um:.2}")));

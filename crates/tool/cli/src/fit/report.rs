@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Map, Value, json};
-use trueup_fit::{ExcludedRow, FitReport, FitVerdict, ResidualStatistics, report::FitFactValue};
+use trueup_fit::{ExcludedRow, FitReport, FitVerdict, ResidualStatistics, report::FitDetailValue};
 
 use super::args::CommonArgs;
 use crate::output;
@@ -15,7 +15,7 @@ const MAX_LISTED_ROWS: usize = 20;
 /// Prints what was found: warnings on standard error, the rest as text or JSON.
 pub fn print(report: &FitReport, common: &CommonArgs, written: bool, as_json: bool) -> Result<()> {
     for warning in &report.warnings {
-        crate::report::warn(warning);
+        crate::report::print_warning(warning);
     }
     if as_json {
         return output::print(report_json(report, common, written));
@@ -40,12 +40,14 @@ pub fn print(report: &FitReport, common: &CommonArgs, written: bool, as_json: bo
     };
     for fact in report.facts.iter().filter(|fact| !in_table(&fact.name)) {
         let value = match &fact.value {
-            FitFactValue::Number(number) => format!("{number:.4}"),
-            FitFactValue::Text(text) => text.clone(),
-            FitFactValue::Numbers(numbers) if numbers.len() <= MAX_LISTED_ROWS => {
+            FitDetailValue::Number(number) => format!("{number:.4}"),
+            FitDetailValue::Text(text) => text.clone(),
+            FitDetailValue::Numbers(numbers) if numbers.len() <= MAX_LISTED_ROWS => {
                 numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
             }
-            FitFactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
+            FitDetailValue::Numbers(numbers) => {
+                format!("{} values (--json has them)", numbers.len())
+            }
         };
         lines.push(format!("  {}: {value}", fact.name));
     }
@@ -64,7 +66,7 @@ pub fn print(report: &FitReport, common: &CommonArgs, written: bool, as_json: bo
         report.excluded.len()
     ));
     lines.extend(excluded_row_lines(&report.excluded));
-    lines.push(output_summary(written, &common.output));
+    lines.push(describe_output(written, &common.output));
     output::print(lines.join("\n"))
 }
 
@@ -79,7 +81,7 @@ pub fn excluded_row_lines(outliers: &[ExcludedRow]) -> Vec<String> {
 }
 
 /// Returns the last line: where it is written.
-pub fn output_summary(is_written: bool, output: &Path) -> String {
+pub fn describe_output(is_written: bool, output: &Path) -> String {
     match is_written {
         true => format!("written to {}", output.display()),
         false => "nothing is written".into(),
@@ -120,9 +122,9 @@ fn report_json(report: &FitReport, common: &CommonArgs, written: bool) -> Value 
         .iter()
         .map(|fact| {
             let value = match &fact.value {
-                FitFactValue::Number(number) => json!(number),
-                FitFactValue::Numbers(numbers) => json!(numbers),
-                FitFactValue::Text(text) => json!(text),
+                FitDetailValue::Number(number) => json!(number),
+                FitDetailValue::Numbers(numbers) => json!(numbers),
+                FitDetailValue::Text(text) => json!(text),
             };
             (fact.name.clone(), value)
         })

@@ -10,10 +10,10 @@ use trueup_fit::straightness::method_table::{
 };
 
 use super::{FitInput, args};
-use crate::{Outcome, origin, output};
+use crate::{CommandOutcome, output, provenance};
 
 /// Makes the table, prints it, and writes the page.
-pub fn run(args: &args::Table1Args, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &args::Table1Args, as_json: bool) -> Result<CommandOutcome> {
     let args::FitInputArgs { run, machine } = &args.measured;
     let input = FitInput::read(&args.measured)?;
     let quantity = args.curve.error.quantity();
@@ -25,7 +25,7 @@ pub fn run(args: &args::Table1Args, as_json: bool) -> Result<Outcome> {
     };
     let table = build_method_table(&input.runs, &options)?;
     let inputs: Vec<&Path> = run.iter().chain(machine).map(PathBuf::as_path).collect();
-    let html = table.to_html(&origin::from_files(&inputs)?);
+    let html = table.to_html(&provenance::provenance_from_files(&inputs)?);
     output::write_atomically(&args.output, &inputs, |out| out.write_all(html.as_bytes()))?;
     if as_json {
         output::print(table1_json(&table, &args.output))?;
@@ -40,7 +40,7 @@ pub fn run(args: &args::Table1Args, as_json: bool) -> Result<Outcome> {
             args.output.display()
         ))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn print(entry: &MethodTableEntry) -> Result<()> {

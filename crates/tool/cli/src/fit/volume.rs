@@ -10,31 +10,31 @@ use trueup_fit::volume::{
 use trueup_machine::{MachineFile, compile::compile};
 
 use super::{args::VolumeArgs, check_output_text, report};
-use crate::{Outcome, files, origin, output};
+use crate::{CommandOutcome, input_files, output, provenance};
 
 /// Fits, writes and prints.
-pub fn run(args: &VolumeArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &VolumeArgs, as_json: bool) -> Result<CommandOutcome> {
     let text = MachineFile::read_text(&args.machine)?;
-    let machine = files::parse_machine(&text, &args.machine)?;
-    let runs = files::read_runs_for_fit(&args.run, Some(&machine))?;
+    let machine = input_files::parse_machine(&text, &args.machine)?;
+    let runs = input_files::read_runs_for_fit(&args.run, Some(&machine))?;
     let options = VolumeFitOptions {
         instrument_um: args.instrument_um,
         scale_um_per_m: args.scale_um_per_m,
         artefact_um: args.artefact_um,
     };
     let report = volume::fit(&runs, &machine, &options)?;
-    report.warnings.iter().for_each(crate::report::warn);
+    report.warnings.iter().for_each(crate::report::print_warning);
     let is_written = !report.edit.is_empty();
     let inputs: Vec<&Path> =
         args.run.iter().chain([&args.machine]).map(std::path::PathBuf::as_path).collect();
-    let page = volume::build_page(&report, &origin::from_files(&inputs)?).to_html();
+    let page = volume::build_page(&report, &provenance::provenance_from_files(&inputs)?).to_html();
     // The machine file itself may be written over: that is what a user means who names it twice.
     let runs: Vec<&Path> = args.run.iter().map(std::path::PathBuf::as_path).collect();
     let mut set = output::FileTransaction::new(&runs);
     if is_written {
         let text = report.edit.apply(&text, &args.machine)?;
         check_output_text(Some(&machine), &text, &args.output)?;
-        warn_unsupported_by_board(&text, &args.output);
+        warn_compile_refusal(&text, &args.output);
         set.add_text(&args.output, &text)?;
     }
     if !output::is_standard_output(&args.output) {
@@ -46,14 +46,17 @@ pub fn run(args: &VolumeArgs, as_json: bool) -> Result<Outcome> {
     } else {
         output::print(volume_text(&report, &args.output))?;
     }
-    Ok(if is_written { Outcome::Done } else { Outcome::NotMet })
+    Ok(if is_written { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 /// Says that no board takes the file, where that is so: the file is right all the same.
-fn warn_unsupported_by_board(text: &str, path: &Path) {
+fn warn_compile_refusal(text: &str, path: &Path) {
     let compiled = MachineFile::parse(text, path).map(|machine| compile(&machine).map(drop));
     if let Ok(Err(error)) = compiled {
-        crate::report::warn(format_args!("trueup compile will refuse {}: {error}", path.display()));
+        crate::report::print_warning(format_args!(
+            "trueup compile will refuse {}: {error}",
+            path.display()
+        ));
     }
 }
 
@@ -79,7 +82,7 @@ fn volume_text(report: &VolumeReport, output: &Path) -> String {
     if report.edit.is_empty() {
         lines.push(rejection_reason(report).into());
     }
-    lines.push(report::output_summary(!report.edit.is_empty(), output));
+    lines.push(report::describe_output(!report.edit.is_empty(), output));
     lines.join("\n")
 }
 

@@ -6,24 +6,24 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_compare::dated;
+use trueup_compare::dated_constants;
 use trueup_diagnose::{
     DiagnosisOptions, NamedCause, NamedCauseFit, diagnose_with_options, fit_named_causes,
 };
 use trueup_fleet::{
-    constants::{self, CauseIdentity},
-    job::{Job, JobFile, Request, Submission, SubmittedFile},
+    estimated_constants::{self, CauseIdentity},
+    job::{DiagnosisRequest, Job, JobFile, JobSubmission, SubmittedFile},
+    job_result::StoredResult,
     record::MachineRecord,
-    result::StoredResult,
     store::{FleetStore, compute_checksum},
     structure::{FitRequest, FittedConstants},
     worker::{self, DiagnosisError, DiagnosisFiles, LoadedJob},
 };
-use trueup_machine::{InputFileError, Machine, MachineFile, RunFile, file};
+use trueup_machine::{InputFileError, Machine, MachineFile, RunFile, machine_file};
 
 use crate::{
     diagnose::{DiagnosisInput, RESIDUALS_FILE, diagnosis_files, with_instrument_um},
-    files, origin, report,
+    input_files, provenance, report,
 };
 
 /// The answer of a diagnosis, among its files.
@@ -33,14 +33,16 @@ pub const DIAGNOSIS_FILE: &str = "diagnosis.json";
 pub fn read_submission(
     input: &DiagnosisInput,
     name: Option<&str>,
-    date: Option<dated::EpochDay>,
-) -> Result<Submission> {
+    date: Option<dated_constants::EpochDay>,
+) -> Result<JobSubmission> {
     let source = MachineFile::read_text(&input.machine)?;
-    let machine =
-        with_instrument_um(files::parse_machine(&source, &input.machine)?, input.instrument_um);
+    let machine = with_instrument_um(
+        input_files::parse_machine(&source, &input.machine)?,
+        input.instrument_um,
+    );
     let content =
         |path: &Path, bytes: Vec<u8>| SubmittedFile { path: path.display().to_string(), bytes };
-    files::read_runs_lenient(&input.run_paths(), &machine)?;
+    input_files::read_runs_lenient(&input.run_paths(), &machine)?;
     let all = |paths: &[PathBuf]| -> Result<Vec<SubmittedFile>> {
         paths.iter().map(|path| Ok(content(path, fs::read(path)?))).collect()
     };
@@ -49,7 +51,7 @@ pub fn read_submission(
         (Some(name), _) => name.to_string(),
         (None, Some(serial)) => serial,
         (None, None) => {
-            report::warn(format_args!(
+            report::print_warning(format_args!(
                 "{} has no serial under [machine]: the job is of the machine \"{}\"; give --name SERIAL where several \
                  machines have this name",
                 input.machine.display(),
@@ -59,20 +61,21 @@ pub fn read_submission(
         }
     };
     let named = input.runs.first().and_then(|path| path.file_name());
-    let named = named.and_then(|name| dated::find_day_in_name(&name.to_string_lossy()));
-    Ok(Submission {
+    let named =
+        named.and_then(|name| dated_constants::find_date_in_file_name(&name.to_string_lossy()));
+    Ok(JobSubmission {
         machine: machine_name,
-        date: date.or(named).map(dated::format_day),
+        date: date.or(named).map(dated_constants::format_day),
         runs: all(&input.runs)?,
         off: all(&input.off)?,
         holdout: all(&input.holdout)?,
         machine_file: content(&input.machine, source.into_bytes()),
-        request: Request {
+        request: DiagnosisRequest {
             quantity: input.quantity.map(|quantity| quantity.name().to_string()),
             matters_um: input.matters_um,
             instrument_um: input.instrument_um,
             applied_once: input.applied_once,
-            accept: files::accepted_keys(),
+            accept: input_files::accepted_keys(),
         },
     })
 }
@@ -99,15 +102,16 @@ struct LoadedJobFiles {
 fn read_job_files(loaded: &LoadedJob) -> Result<LoadedJobFiles> {
     let job = &loaded.job;
     let request = &job.request;
-    files::set_job_accepted_keys(&request.accept);
+    input_files::set_job_accepted_keys(&request.accept);
     let path = Path::new(&job.machine_file.path);
     let source = String::from_utf8(loaded.machine_file.clone())?;
-    let machine = with_instrument_um(files::parse_machine(&source, path)?, request.instrument_um);
+    let machine =
+        with_instrument_um(input_files::parse_machine(&source, path)?, request.instrument_um);
     let read = |(file, bytes): (&JobFile, &Vec<u8>)| {
         RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))
     };
     let read = stored_runs(loaded).map(read).collect::<Result<Vec<_>, _>>()?;
-    let mut runs = files::prepare_runs_lenient(read, &machine)?;
+    let mut runs = input_files::prepare_runs_lenient(read, &machine)?;
     let holdout = runs.split_off(job.runs.len() + job.off.len());
     let options = DiagnosisOptions {
         quantity: request.quantity.as_deref().and_then(parse_quantity),
@@ -130,7 +134,7 @@ fn run_diagnosis(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles> {
     let diagnosis = diagnose_with_options(&machine, &runs, &holdout, options, &mut |_, _| {})?;
     let mut inputs = vec![(machine_file.as_str(), loaded.machine_file.as_slice())];
     inputs.extend(stored_runs(loaded).map(|(file, bytes)| (file.path.as_str(), bytes.as_slice())));
-    let origin = origin::from_contents(&inputs);
+    let origin = provenance::provenance_from_contents(&inputs);
     let texts = diagnosis_files(&diagnosis, (&source, Path::new(machine_file)), &origin, out)?;
     let mut files: DiagnosisFiles =
         texts.into_iter().map(|(name, text)| (name, text.into_bytes())).collect();
@@ -141,7 +145,7 @@ fn run_diagnosis(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles> {
 }
 
 /// Returns the constants of the causes that a series requires of a record.
-pub fn fitted_constants(
+pub fn fit_constants(
     store: &FleetStore,
     id: &str,
     quantity: &str,
@@ -166,7 +170,7 @@ pub fn fitted_constants(
             }
         }
         let diagnosis = serde_json::json!({"quantity": quantity, "findings": [finding]});
-        constants::parse_findings(&diagnosis).pop()
+        estimated_constants::parse_findings(&diagnosis).pop()
     };
     let all = |named: &[NamedCause<'_>], fits: Vec<Option<NamedCauseFit>>| {
         named.iter().zip(fits).map(|(named, fit)| found(named, fit)).collect()
@@ -179,8 +183,8 @@ fn to_named_cause(it: &CauseIdentity) -> NamedCause<'_> {
 }
 
 /// Returns the quantity of this name.
-fn parse_quantity(name: &str) -> Option<file::Quantity> {
-    file::Quantity::ALL.into_iter().find(|quantity| quantity.name() == name)
+fn parse_quantity(name: &str) -> Option<machine_file::Quantity> {
+    machine_file::Quantity::ALL.into_iter().find(|quantity| quantity.name() == name)
 }
 
 /// Returns what a result says of its machine.
@@ -201,11 +205,11 @@ pub fn build_machine_record(
         .map_err(|error| error.rule)?;
     Ok(MachineRecord {
         machine: done.machine.clone(),
-        day: done.date.as_deref().and_then(dated::find_day_in_name),
+        day: done.date.as_deref().and_then(dated_constants::find_date_in_file_name),
         verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),
         belief: model_fingerprint(machine, quantity),
         quantity: quantity.into(),
-        found: constants::parse_findings(&diagnosis),
+        found: estimated_constants::parse_findings(&diagnosis),
         fitted: Vec::new(),
     })
 }
@@ -213,7 +217,7 @@ pub fn build_machine_record(
 /// Returns what a machine file believes of a quantity, whatever machine it is of, however it is connected, and wherever its
 /// keys stand.
 fn model_fingerprint(machine: Machine, quantity: &str) -> String {
-    let text = if quantity == file::Quantity::Elongation.name() {
+    let text = if quantity == machine_file::Quantity::Elongation.name() {
         format!("{:?} {:?}", machine.spindle, machine.terms)
     } else {
         let plain = Machine {

@@ -18,8 +18,8 @@ use trueup_serve::broker::is_loopback;
 use crate::{UserError, report};
 
 /// The variables with the name and the password for a server: every user of the computer sees a command line.
-pub const USER_ENV_VAR: &str = "TRUEUP_NATS_USER";
-pub const PASSWORD_ENV_VAR: &str = "TRUEUP_NATS_PASSWORD";
+pub const NATS_USER_ENV_VAR: &str = "TRUEUP_NATS_USER";
+pub const NATS_PASSWORD_ENV_VAR: &str = "TRUEUP_NATS_PASSWORD";
 
 #[derive(Args)]
 pub struct FleetLocationArgs {
@@ -117,7 +117,9 @@ pub fn server_connection_settings(
     }
     let login = credentials_from_env()?;
     if login.is_some() && is_unencrypted(url) {
-        report::warn("--nats: the password can be read on the network: write tls://HOST:PORT");
+        report::print_warning(
+            "--nats: the password can be read on the network: write tls://HOST:PORT",
+        );
     }
     Ok(ConnectionSettings { url: url.into(), login, authority: authority.map(PathBuf::from) })
 }
@@ -134,11 +136,11 @@ fn is_unencrypted(url: &str) -> bool {
 
 /// Returns name and password of the environment.
 pub fn credentials_from_env() -> Result<Option<(String, String)>, UserError> {
-    match (env::var(USER_ENV_VAR).ok(), env::var(PASSWORD_ENV_VAR).ok()) {
+    match (env::var(NATS_USER_ENV_VAR).ok(), env::var(NATS_PASSWORD_ENV_VAR).ok()) {
         (None, None) => Ok(None),
         (Some(user), Some(password)) => Ok(Some((user, password))),
         _ => Err(UserError(format!(
-            "{USER_ENV_VAR} and {PASSWORD_ENV_VAR}: one of them is set, both are needed"
+            "{NATS_USER_ENV_VAR} and {NATS_PASSWORD_ENV_VAR}: one of them is set, both are needed"
         ))),
     }
 }

@@ -13,7 +13,7 @@ use trueup_fleet::nats::records;
 use trueup_serve::sparkplug::payload_to_json;
 
 use super::location::server_connection_settings;
-use crate::{Outcome, UserError, output, report};
+use crate::{CommandOutcome, UserError, output, report};
 
 /// Prints the records and events that bridges have published to the server, the oldest first, each once: a line of JSON
 /// each.
@@ -30,7 +30,7 @@ pub struct RecordsArgs {
     nats_ca: Option<PathBuf>,
 }
 
-pub fn run(args: &RecordsArgs) -> Result<Outcome> {
+pub fn run(args: &RecordsArgs) -> Result<CommandOutcome> {
     let access = server_connection_settings(&args.nats, args.nats_ca.as_deref())?;
     let (mut known, mut foreign) = (PrintedRecords::default(), 0_u64);
     let mut failed = None;
@@ -54,16 +54,16 @@ pub fn run(args: &RecordsArgs) -> Result<Outcome> {
     }
     let removed = read.map_err(|error| UserError(error.to_string()))?;
     if removed > 0 {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "the {removed} oldest messages have given way: fleet server --records-gb keeps more"
         ));
     }
     if foreign > 0 {
-        report::warn(format_args!(
+        report::print_warning(format_args!(
             "{foreign} messages are no payload of Sparkplug and are skipped"
         ));
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The records that were printed: by file of a spool the first and the last number of each row of them. Millions take little

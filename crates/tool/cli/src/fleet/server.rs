@@ -19,11 +19,11 @@ use trueup_fleet::nats::{
 use trueup_output::escape::shell_quote;
 
 use super::location::credentials_from_env;
-use crate::{Outcome, UserError, output, report};
+use crate::{CommandOutcome, UserError, output, report};
 
-const SERVER_PROGRAM: &str = "nats-server";
+const NATS_SERVER_PROGRAM: &str = "nats-server";
 /// How long a server may take to start, or to end.
-const SERVER_TIMEOUT: Duration = Duration::from_secs(60);
+const NATS_SERVER_TIMEOUT: Duration = Duration::from_secs(60);
 /// In the folder of its store: the limit for records that the streams there have.
 const RECORDS_LIMIT_FILE: &str = "records-gb";
 /// The limit of a store that has none yet.
@@ -59,8 +59,8 @@ pub struct ServerArgs {
     records_gb: Option<u32>,
 }
 
-pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
-    let program = args.program.as_deref().unwrap_or(Path::new(SERVER_PROGRAM));
+pub fn run(args: &ServerArgs, as_json: bool) -> Result<CommandOutcome> {
+    let program = args.program.as_deref().unwrap_or(Path::new(NATS_SERVER_PROGRAM));
     let (major, minor) =
         server::check_server_version(program).map_err(|error| UserError(error.to_string()))?;
     let login = credentials_from_env()?;
@@ -74,7 +74,7 @@ pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
         }
         if args.tls_cert.is_none() {
             let rule = "the password and what is sent can be read on the network: give --tls-cert and --tls-key";
-            report::warn(format_args!("{option} {address}: {rule}"));
+            report::print_warning(format_args!("{option} {address}: {rule}"));
         }
     }
     let lock = server::lock_folder(&args.dir).map_err(|error| UserError(error.to_string()))?;
@@ -154,7 +154,7 @@ fn create_streams(
 ) -> Result<(), UserError> {
     let url = format!("nats://{}", config.listen);
     let access = ConnectionSettings { url, login: config.login.clone(), authority: None };
-    let until = Instant::now() + SERVER_TIMEOUT;
+    let until = Instant::now() + NATS_SERVER_TIMEOUT;
     loop {
         let Err(error) = records::create_streams(&access, i64::from(records_gb) << 30) else {
             return Ok(());
@@ -175,7 +175,7 @@ fn create_streams(
 fn stop_server(program: &Path, server: &mut Child) {
     let signal = format!("quit={}", server.id());
     let requested = Command::new(program).arg("--signal").arg(signal).output();
-    let until = Instant::now() + SERVER_TIMEOUT;
+    let until = Instant::now() + NATS_SERVER_TIMEOUT;
     while requested.as_ref().is_ok_and(|output| output.status.success()) && Instant::now() < until {
         if server.try_wait().is_ok_and(|status| status.is_some()) {
             return;
@@ -197,15 +197,15 @@ fn write_private_file(path: &Path, text: &str) -> Result<()> {
 
 /// Goes on as another program, which then gets the signals of this one.
 #[cfg(unix)]
-fn exec_command(command: &mut Command) -> Result<Outcome> {
+fn exec_command(command: &mut Command) -> Result<CommandOutcome> {
     Err(std::os::unix::process::CommandExt::exec(command).into())
 }
 
 /// Waits for another program.
 #[cfg(not(unix))]
-fn exec_command(command: &mut Command) -> Result<Outcome> {
+fn exec_command(command: &mut Command) -> Result<CommandOutcome> {
     let status = command.status()?;
-    Ok(if status.success() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if status.success() { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
 #[cfg(test)]

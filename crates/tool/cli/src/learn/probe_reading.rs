@@ -6,9 +6,9 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_machine::{RunFile, file::Quantity};
+use trueup_machine::{RunFile, machine_file::Quantity};
 
-use crate::{UserError, files};
+use crate::{UserError, input_files};
 
 /// The record has the last hours: some megabytes.
 const MAX_RECORD_BYTES: u64 = 64 << 20;
@@ -27,7 +27,7 @@ pub fn read_record_with_reading(
     now: SystemTime,
 ) -> Result<RunFile> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let text = files::read_text(path, MAX_RECORD_BYTES)?;
+    let text = input_files::read_text(path, MAX_RECORD_BYTES)?;
     let measured = quantity.unwrap_or(Quantity::Elongation).name();
     let mut lines = text.lines();
     let header = lines.next().unwrap_or_default();

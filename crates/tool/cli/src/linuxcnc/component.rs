@@ -12,13 +12,13 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::json;
-use trueup_servo::component::{C_HEADER, C_SOURCE, LIBRARY_FILE_NAME};
+use trueup_servo::component::{COMPONENT_C_HEADER, COMPONENT_C_SOURCE, LIBRARY_FILE_NAME};
 
-use crate::{Outcome, UserError, output};
+use crate::{CommandOutcome, UserError, output};
 
 const REALTIME_COMPONENT_NAME: &str = "trueup_node";
 /// Sections that nothing calls are omitted: the library has more than a bridge needs.
-const MAKEFILE: &str = "obj-m += trueup_node.o\n\
+const COMPONENT_MAKEFILE: &str = "obj-m += trueup_node.o\n\
     trueup_node-objs := trueup_node.o libtrueup_servo.a\n\
     include $(shell halcompile --print-modinc)\n";
 
@@ -37,7 +37,7 @@ pub struct ComponentArgs {
 }
 
 /// Builds it, and installs it if requested.
-pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ComponentArgs, as_json: bool) -> Result<CommandOutcome> {
     let library = find_servo_library(args.library.as_deref())?;
     if Command::new("halcompile").arg("--print-modinc").output().is_err() {
         let rule = "halcompile is not installed: sudo apt-get install linuxcnc-uspace-dev";
@@ -45,7 +45,11 @@ pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
     }
     let out = &args.out;
     fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
-    let texts = [("trueup_node.c", C_SOURCE), ("trueup_servo.h", C_HEADER), ("Makefile", MAKEFILE)];
+    let texts = [
+        ("trueup_node.c", COMPONENT_C_SOURCE),
+        ("trueup_servo.h", COMPONENT_C_HEADER),
+        ("Makefile", COMPONENT_MAKEFILE),
+    ];
     for (name, text) in texts {
         output::write_atomically(&out.join(name), &[], |to| to.write_all(text.as_bytes()))?;
     }
@@ -65,7 +69,7 @@ pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
     } else {
         output::print(format!("built: {}; install it with --install", module.display()))?;
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Runs make in a folder.

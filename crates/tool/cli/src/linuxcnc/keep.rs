@@ -18,9 +18,9 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_store::retained::{self, RETAINED_COPY_SIZE, RetainedCopies};
+use trueup_store::retained_state::{self, RETAINED_COPY_SIZE, RetainedCopies};
 
-use crate::{Outcome, output};
+use crate::{CommandOutcome, output};
 
 /// Time between two looks at the memory.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
@@ -41,7 +41,7 @@ pub struct KeepArgs {
 }
 
 /// Copies until the component is gone, or it is ended.
-pub fn run(args: &KeepArgs) -> Result<Outcome> {
+pub fn run(args: &KeepArgs) -> Result<CommandOutcome> {
     let memory = &args.memory;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -73,7 +73,7 @@ pub fn run(args: &KeepArgs) -> Result<Outcome> {
             }
         }
         if ends {
-            return Ok(Outcome::Done);
+            return Ok(CommandOutcome::Done);
         }
         thread::sleep(POLL_INTERVAL);
     }
@@ -90,5 +90,5 @@ fn read_valid_copies(memory: &Path) -> Result<Option<RetainedCopies>> {
         return Ok(None);
     }
     copies.as_flattened_mut().copy_from_slice(&bytes);
-    Ok(retained::load(&copies).map(|_| copies))
+    Ok(retained_state::load(&copies).map(|_| copies))
 }

@@ -13,7 +13,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use trueup_emulator::firmware;
+use trueup_emulator::firmware_images;
 use trueup_machine::RunFile;
 
 use crate::desk::Desk;
@@ -53,7 +53,8 @@ struct Shop {
 
 impl Shop {
     fn open(desk: &Desk) -> Self {
-        let image = firmware::build_virtual_board_image().expect("it builds").display().to_string();
+        let image =
+            firmware_images::build_virtual_board_image().expect("it builds").display().to_string();
         let plant = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let at = plant.local_addr().expect("bound above");
         let line =

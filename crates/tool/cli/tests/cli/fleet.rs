@@ -9,7 +9,7 @@ use std::{
 };
 
 use serde_json::Value;
-use trueup_numerics::random::Generator;
+use trueup_numerics::random::RandomGenerator;
 
 use crate::desk::Desk;
 
@@ -18,7 +18,7 @@ const MACHINE: &str =
 
 /// Returns a run of an axis whose scale is long by `um_per_m`.
 fn run(seed: u64, um_per_m: f64) -> String {
-    let mut generator = Generator::new(seed);
+    let mut generator = RandomGenerator::new(seed);
     let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
     for cycle in 1..=3 {
         for way in [1, -1] {
@@ -91,7 +91,7 @@ fn a_result_has_the_bytes_of_diagnose() {
 fn workers_that_are_killed_lose_nothing_and_each_job_has_one_result() {
     const JOBS: usize = 3;
     let desk = desk_with(JOBS);
-    let mut generator = Generator::new(50);
+    let mut generator = RandomGenerator::new(50);
     let started = Instant::now();
     let mut kills = 0;
     while kills < 50 && started.elapsed() < Duration::from_secs(6) {
@@ -130,7 +130,7 @@ fn workers_that_are_killed_lose_nothing_and_each_job_has_one_result() {
 #[test]
 fn the_odd_machine_of_a_series_is_named_though_the_others_are_clean() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
-    let mut generator = Generator::new(7);
+    let mut generator = RandomGenerator::new(7);
     for machine in 0..8 {
         let um_per_m = if machine == 5 { 6.0 } else { 0.2 * generator.normal() };
         desk.write("r.csv", run(machine, um_per_m));

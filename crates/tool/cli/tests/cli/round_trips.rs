@@ -3,9 +3,9 @@
 
 use serde_json::Value;
 use trueup_twin::{
-    axes::{Axes, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
-    bodies::{Body, MovingAxis},
+    axes::{AxesConfig, AxisConfig, AxisName, SimulatedAxes, StraightnessConfig},
     cubic_spline::CubicSpline,
+    rigid_bodies::{Body, MovingAxis},
 };
 
 use crate::{
@@ -64,7 +64,7 @@ fn circle(
         mm
     };
     let [first, second] = axes_of_plane.map(|name| "xyz".find(name).expect("an axis"));
-    let mut axes = Axes::new(truth, place(&rows[0]), 20.0);
+    let mut axes = SimulatedAxes::new(truth, place(&rows[0]), 20.0);
     let mut text = names.join(",") + "\n";
     for (n, row) in rows.iter().enumerate() {
         let mm = place(row);

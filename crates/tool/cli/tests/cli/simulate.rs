@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::desk::Desk;
 use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
-use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 
 const WARMUP: &str = include_str!("../../../../../data/scenario-warmup.toml");
 const AXIS: &str = include_str!("../../../../../data/scenario-axis.toml");
@@ -77,7 +77,7 @@ fn largest_difference_um(test_case: &TestCase) -> f64 {
     let predicted = |csv: &String| {
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv"))
             .unwrap_or_else(|bad| panic!("{bad}"));
-        let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
+        let predictor = RunPredictor::new(&machine, &run).expect("all that it needs is there");
         assert_eq!(predictor.missing_columns(), [] as [String; 0]);
         predictor.predictions().map(|row| row.model.to_array()[quantity]).collect::<Vec<f64>>()
     };

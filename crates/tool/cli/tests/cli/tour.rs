@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_emulator::firmware;
+use trueup_emulator::firmware_images;
 use trueup_machine::RunFile;
 
 use crate::{
@@ -65,7 +65,7 @@ impl Shop {
     fn open() -> Self {
         let desk = Desk::new(&[]);
         // An installed tool carries the firmware; the one of the tests is given it.
-        let image = firmware::build_virtual_board_image().expect("it builds");
+        let image = firmware_images::build_virtual_board_image().expect("it builds");
         fs::create_dir(desk.path(".bin")).expect("a new folder");
         let (tool, image) = (env!("CARGO_BIN_EXE_trueup"), image.display());
         desk.write(

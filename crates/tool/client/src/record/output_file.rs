@@ -11,14 +11,14 @@ use anyhow::{Context as _, Result};
 use crate::UnusableInput;
 
 /// A file that is being written.
-pub(crate) struct OutputFile {
+pub(crate) struct RecordingFile {
     /// Where it stands.
     pub path: PathBuf,
     file: BufWriter<File>,
     length: u64,
 }
 
-impl OutputFile {
+impl RecordingFile {
     /// Begins a file that must not be there yet.
     pub fn create(path: PathBuf) -> Result<Self> {
         let file = OpenOptions::new()

@@ -2,8 +2,8 @@ use super::*;
 use trueup_core::{
     bridge::TickInput,
     cnc::Control,
-    dimensions::CODES_PER_TICK,
-    thermometer::RawReading,
+    design_parameters::CODES_PER_TICK,
+    thermometer::RawTemperatureReading,
     units::{AdcCode, Rpm},
 };
 use trueup_link::frames;
@@ -33,9 +33,9 @@ fn the_counts_of_a_sensor_with_a_temperature_are_those_that_the_board_was_given(
 
     // On average 100.5 codes of 12 bits above the zero of 631, so 804 counts and 12.27 µm.
     let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(731 + (n % 2) as u16));
-    let mut temperatures = [RawReading::NONE; CHANNEL_COUNT];
+    let mut temperatures = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
     // A PT100 at 30 °C: 100·(1 + 3.9083·10⁻³·30 − 5.775·10⁻⁷·30²) Ω.
-    temperatures[0] = RawReading(111_672_925);
+    temperatures[0] = RawTemperatureReading(111_672_925);
     for ms in 0..3_000_u32 {
         if ms % 20 == 0 {
             let engaged = Control { engage: ms >= 60, ..Control::REFERENCED };
@@ -48,7 +48,7 @@ fn the_counts_of_a_sensor_with_a_temperature_are_those_that_the_board_was_given(
             temperatures: Some(&temperatures),
         };
         let at = UNIX_EPOCH + Duration::from_millis(ms.into());
-        for frame in node.tick(1, input).into_iter().chain(node.service()) {
+        for frame in node.tick(1, input).into_iter().chain(node.next_service_frame()) {
             recorder.receive(&frame, at).expect("the disk is not full");
         }
     }
@@ -71,7 +71,7 @@ fn the_last_readings_are_undone_one_after_the_other() {
     let path = folder.path().join("run.csv");
     let mut recorder =
         Recorder::create(&path, None, "can0", Some(Quantity::Dz)).expect("a new file");
-    let mut node = Node::new(trueup_node::configuration::Configuration::default());
+    let mut node = Node::new(trueup_node::configuration::NodeConfiguration::default());
     for ms in 0..2_000_u32 {
         // A reading each half second; the last but one was a slip, and so was the one that waits.
         if ms % 500 == 250 {
@@ -101,7 +101,7 @@ fn the_last_readings_are_undone_one_after_the_other() {
 fn without_a_law_on_the_board_the_elongation_itself_is_written_down() {
     let column = |text: &str| {
         let machine = MachineFile::parse(text, Path::new("m.toml")).expect("right");
-        Columns::from_machine(&machine).header().split(',').nth(8).map(str::to_owned)
+        MachineColumns::from_machine(&machine).header().split(',').nth(8).map(str::to_owned)
     };
     assert_eq!(column(DRIFTING).as_deref(), Some("sensor_counts"));
     // The board would tell 0 µm for ever.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::MAX_COMPENSATION_VALUE;
-use crate::report::Approach;
+use crate::report::ApproachDirection;
 
 /// The control's compensation data after both files are loaded.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -156,10 +156,10 @@ impl AxisTables {
     pub fn correction_in_detection_units(
         &self,
         from_reference_mm: f64,
-        approach: Approach,
+        approach: ApproachDirection,
         is_interpolated: bool,
     ) -> f64 {
-        let is_negative = approach == Approach::Negative;
+        let is_negative = approach == ApproachDirection::Negative;
         let (table, start) = match &self.tables[..] {
             [_, second] if is_negative => (second, self.at_reference),
             [first, ..] => (first, if is_negative { -self.backlash } else { 0 }),
@@ -205,10 +205,14 @@ mod tests {
             (151.0, -6.0, -2.08),
             (900.0, -6.0, -6.0),
         ] {
-            let of = |is_even| axis.correction_in_detection_units(mm, Approach::Positive, is_even);
+            let of = |is_even| {
+                axis.correction_in_detection_units(mm, ApproachDirection::Positive, is_even)
+            };
             assert!((of(false) - stepped).abs() < 1e-12 && (of(true) - even).abs() < 1e-12, "{mm}");
             assert!(
-                (axis.correction_in_detection_units(mm, Approach::Negative, false) - stepped + 5.0)
+                (axis.correction_in_detection_units(mm, ApproachDirection::Negative, false)
+                    - stepped
+                    + 5.0)
                     .abs()
                     < 1e-12
             );

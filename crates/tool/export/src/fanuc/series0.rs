@@ -12,15 +12,15 @@
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use super::{
     AxisCompensation, AxisTables, MAGNIFICATIONS, MAX_COMPENSATION_VALUE, SPACING_INCREMENT_MM,
     compare_axis,
 };
 use crate::{
-    Export, ExportOptions, ExportReport, ExportedFile,
-    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors},
+    ExportOptions, ExportReport, ExportResult, ExportedFile,
+    axis_errors::{CrossAxisError, DriveErrorModel, collect_cross_axis_errors},
     number_format::format_number,
 };
 
@@ -36,7 +36,7 @@ fn parameter_numbers(axis: LinearAxis) -> Option<(u32, u32)> {
 }
 
 /// Why the control cannot hold a drive, if it cannot.
-pub(super) fn unsupported_reason(drive: &DriveError<'_>) -> Option<String> {
+pub(super) fn unsupported_reason(drive: &DriveErrorModel<'_>) -> Option<String> {
     if parameter_numbers(drive.axis).is_none() || drive.is_second {
         return Some("Series 0 has numbers for X and Z with one drive each".into());
     }
@@ -62,14 +62,15 @@ pub(super) fn omit_straightness<'m>(
 pub(super) fn write_sheet(
     mut planned: Vec<AxisCompensation<'_>>,
     options: &ExportOptions,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     // PML1 and PML2 hold for both axes; a coarser step always suffices where a finer one did.
     let common = planned.iter().map(|plan| plan.magnification).max().unwrap_or(1);
     for plan in &mut planned {
         plan.magnification = common;
         if !plan.compute_tables(options) {
-            let section = plan.drive.as_ref().map_or(String::new(), DriveError::source_sections);
+            let section =
+                plan.drive.as_ref().map_or(String::new(), DriveErrorModel::source_sections);
             let rule = format!("magnification {common}, which the other axis needs, is too coarse");
             export.report.add_omitted_section(section, rule);
             plan.tables.clear();

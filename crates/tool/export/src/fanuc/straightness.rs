@@ -10,9 +10,9 @@ use trueup_machine::Machine;
 
 use super::{AxisCompensation, CompensationData};
 use crate::{
-    Export, ExportOptions, ExportReport, ExportedTable,
+    ExportOptions, ExportReport, ExportResult, ExportedTable,
     axis_errors::{CrossAxisError, collect_cross_axis_errors},
-    grid::{
+    table_points::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
     },
 };
@@ -36,8 +36,8 @@ pub(super) fn select_pairs<'m>(
             report.add_omitted_section(cross.source_sections(), reason);
             continue;
         };
-        let values = (0..=EVALUATION_POINTS).map(|k| {
-            cross.error_um(first + (last - first) * f64::from(k) / f64::from(EVALUATION_POINTS))
+        let values = (0..=EVALUATION_INTERVALS).map(|k| {
+            cross.error_um(first + (last - first) * f64::from(k) / f64::from(EVALUATION_INTERVALS))
         });
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), um| {
             (low.min(um), high.max(um))
@@ -59,7 +59,7 @@ pub(super) fn select_pairs<'m>(
 /// (paper 3; `trueup accept`).
 const MAX_RESIDUAL_RATIO: f64 = 0.1;
 /// This many places of a curve are looked at before it is taken.
-const EVALUATION_POINTS: u32 = 1000;
+const EVALUATION_INTERVALS: u32 = 1000;
 
 /// One pair of axes as it is written.
 pub(super) struct AxisPair<'m> {
@@ -123,8 +123,8 @@ pub(super) fn plan_pairs<'m>(
                 [0, 1, 2, 3].map(|k| (positions_mm[at(k)], error_um[at(k)])).into();
             let (first, last) = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
             let (mut off_um, mut low, mut high) = (0.0_f64, f64::INFINITY, f64::NEG_INFINITY);
-            for k in 0..=EVALUATION_POINTS {
-                let mm = first + (last - first) * f64::from(k) / f64::from(EVALUATION_POINTS);
+            for k in 0..=EVALUATION_INTERVALS {
+                let mm = first + (last - first) * f64::from(k) / f64::from(EVALUATION_INTERVALS);
                 let um = cross.error_um(mm) - constant_um;
                 off_um = off_um.max((um - interpolate_linear(&nodes, mm)).abs());
                 (low, high) = (low.min(um), high.max(um));
@@ -158,11 +158,11 @@ pub(super) fn plan_pairs<'m>(
     pairs
 }
 
-pub(super) fn compare_pairs(
+pub(super) fn compare_axis_pairs(
     pairs: &[AxisPair<'_>],
     control: &CompensationData,
     options: &ExportOptions,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     for pair in pairs {
         match compare_pair(pair, control, options) {

@@ -6,9 +6,9 @@ use trueup_machine::Machine;
 
 use super::{IniVariables, LookupTable, ModelPart, PlannedTable, machine_axis_name};
 use crate::{
-    Export, ExportOptions, ExportedTable,
-    grid::{PointGrid, comparison_positions_mm, find_largest_residual},
-    report::{Approach, LargestDifference},
+    ExportOptions, ExportResult, ExportedTable,
+    report::{ApproachDirection, LargestDifference},
+    table_points::{PointGrid, comparison_positions_mm, find_largest_residual},
 };
 
 /// Variables that were read back, or why they could not be: EEC, CEC and machine data.
@@ -19,7 +19,7 @@ pub(super) fn compare(
     options: &ExportOptions,
     plan: &PlannedTable<'_>,
     read: &ReadBackVariables,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let section = match &plan.part {
         ModelPart::Drive(drive) => drive.source_sections(),
@@ -87,11 +87,11 @@ fn compare_table(
                 data?.number(&format!("$MA_BACKLASH[0,{axis}]"))?
             };
             // A positive value moves the axis in the negative direction.
-            let correction_um = |mm: f64, approach: Approach| {
+            let correction_um = |mm: f64, approach: ApproachDirection| {
                 let at = mm / unit_mm;
                 let from_tables: f64 =
                     own.iter().chain(&tables).map(|table| table.value(at, approach)).sum();
-                let lash = if approach == Approach::Negative { backlash } else { 0.0 };
+                let lash = if approach == ApproachDirection::Negative { backlash } else { 0.0 };
                 -(from_tables + lash) * um
             };
             let error_um = |mm, approach| drive.error_um(mm, approach) - plan.constant_um;

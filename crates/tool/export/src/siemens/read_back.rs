@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::{grid::interpolate_linear, report::Approach};
+use crate::{report::ApproachDirection, table_points::interpolate_linear};
 
 /// The assignments of an INI file, by the name with its indices: `$AN_CEC_STEP[0]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -116,7 +116,7 @@ impl LookupTable {
     /// Returns the value at `position`; 0 where the table is for the other direction. The axis moves by the
     /// opposite of it.
     #[must_use]
-    pub fn value(&self, position: f64, approach: Approach) -> f64 {
+    pub fn value(&self, position: f64, approach: ApproachDirection) -> f64 {
         if self.direction != 0.0 && self.direction != approach.sign() {
             return 0.0;
         }
@@ -177,8 +177,8 @@ mod tests {
             LookupTable::from_cec_variables(&IniVariables::parse(&ini(table)).unwrap(), 0).unwrap();
         assert_eq!((lookup.input.as_str(), lookup.output.as_str()), ("AX1", "AX3"));
         for (position, value) in [(-90.0, 0.0), (0.0, 0.005), (2.5, 0.0075), (90.0, 0.01)] {
-            assert!((lookup.value(position, Approach::Negative) - value).abs() < 1e-15);
-            assert_eq!(lookup.value(position, Approach::Positive), 0.0);
+            assert!((lookup.value(position, ApproachDirection::Negative) - value).abs() < 1e-15);
+            assert_eq!(lookup.value(position, ApproachDirection::Positive), 0.0);
         }
         let gap = ini(&table.replace("$AN_CEC[0,1]=0.01\n", ""));
         let missing = LookupTable::from_cec_variables(&IniVariables::parse(&gap).unwrap(), 0);

@@ -10,14 +10,14 @@ use std::fmt::Write as _;
 
 use trueup_machine::{
     Machine,
-    file::{LinearAxis, RotaryAxis, ThermalLaw},
+    machine_file::{LinearAxis, RotaryAxis, ThermalLaw},
     model::{elongation_error_um, thermal_coefficients, thermal_error_um, tool_direction},
 };
 
 use super::{IniVariables, build_ini_file, decimal_places, machine_axis_name};
 use crate::{
-    Export, ExportOptions, ExportedFile, ExportedTable, axis_errors::travel_mm,
-    grid::interpolate_linear, number_format::format_number, report::LargestDifference,
+    ExportOptions, ExportResult, ExportedFile, ExportedTable, axis_errors::travel_mm,
+    number_format::format_number, report::LargestDifference, table_points::interpolate_linear,
 };
 
 /// A law that goes on for ever is written so far to both sides of its reference, in °C.
@@ -27,7 +27,7 @@ const MAX_TOOL_COMPONENT_MM: f64 = 1.0;
 /// A slope has no unit: 1e-9 is 1 nm over a metre.
 const SLOPE_DECIMALS: usize = 12;
 
-pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
+pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let mut settings = String::new();
     let mut csv =
         "axis,temperature_c,SD43900_abs_value,SD43910_slope,SD43920_ref_position\n".to_string();
@@ -121,7 +121,7 @@ fn zero_error_temperature_c(thermal: &ThermalLaw) -> f64 {
 }
 
 /// K₀ in the control's unit and tanβ, as they are written.
-fn format_coefficients(
+fn format_thermal_coefficients(
     thermal: &ThermalLaw,
     temperature_c: f64,
     options: &ExportOptions,
@@ -148,7 +148,7 @@ fn write_thermal_compensation(
         decimal_places(options.units),
     );
     let now_c = options.temperatures_c.get(&thermal.sensor);
-    let (value, slope) = format_coefficients(
+    let (value, slope) = format_thermal_coefficients(
         thermal,
         now_c.copied().unwrap_or(zero_error_temperature_c(thermal)),
         options,
@@ -158,7 +158,7 @@ fn write_thermal_compensation(
     let _ = writeln!(settings, "$SA_TEMP_COMP_SLOPE[{name}]={slope}");
     let _ = writeln!(settings, "$SA_TEMP_COMP_REF_POSITION[{name}]={position}");
     for c in table_temperatures_c(thermal) {
-        let (value, slope) = format_coefficients(thermal, c, options);
+        let (value, slope) = format_thermal_coefficients(thermal, c, options);
         let _ = writeln!(csv, "{name},{},{value},{slope},{position}", format_number(c, 6));
     }
 }
@@ -241,7 +241,7 @@ fn export_tool_compensation(
     machine: &Machine,
     options: &ExportOptions,
     settings: Result<IniVariables, String>,
-    export: &mut Export,
+    export: &mut ExportResult,
 ) {
     let unit_mm = options.units.mm_per_unit();
     let ends_um = [-1.0, 0.0, 1.0].map(|sign| sign * MAX_TOOL_COMPONENT_MM * 1000.0);

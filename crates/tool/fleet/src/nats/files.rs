@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use tokio::io::AsyncReadExt as _;
 
 use super::{RemoteFleet, is_job_id};
-use crate::{job::Job, result::JobResult, store::FleetStore};
+use crate::{job::Job, job_result::JobResult, store::FleetStore};
 
 /// A result on the server.
 #[derive(Serialize, Deserialize)]

@@ -25,16 +25,16 @@ use super::{
     create_runtime,
 };
 
-const MESSAGE_STREAM: &str = "$MQTT_msgs";
-const RETAINED_STREAM: &str = "$MQTT_rmsgs";
-/// In front of the subject of a message in [`MESSAGE_STREAM`].
-const MESSAGE_SUBJECT_PREFIX: &str = "$MQTT.msgs.";
+const MQTT_MESSAGE_STREAM: &str = "$MQTT_msgs";
+const MQTT_RETAINED_STREAM: &str = "$MQTT_rmsgs";
+/// In front of the subject of a message in [`MQTT_MESSAGE_STREAM`].
+const MQTT_MESSAGE_SUBJECT_PREFIX: &str = "$MQTT.msgs.";
 /// How long the reader of an output may pause.
 const CONSUMER_INACTIVE_THRESHOLD: Duration = Duration::from_secs(3_600);
 /// Nothing is sent a second time to a consumer that acknowledges nothing.
 const CONNECTION_BROKEN_MESSAGE: &str = "the connection broke; begin again";
 /// Messages that are requested at once.
-const BATCH_SIZE: usize = 500;
+const RECORD_BATCH_SIZE: usize = 500;
 
 /// Makes the streams of the listener for MQTT, or gives them this limit.
 ///
@@ -47,16 +47,16 @@ pub fn create_streams(access: &ConnectionSettings, max_bytes: i64) -> io::Result
     create_runtime()?.block_on(async {
         let context = connect_jetstream(access).await?;
         let made = context.create_or_update_stream(message_stream_config(max_bytes)).await;
-        made.map_err(|error| failed(MESSAGE_STREAM, &error))?;
+        made.map_err(|error| failed(MQTT_MESSAGE_STREAM, &error))?;
         let made = context.get_or_create_stream(retained_stream_config()).await;
-        made.map(|_| ()).map_err(|error| failed(RETAINED_STREAM, &error))
+        made.map(|_| ()).map_err(|error| failed(MQTT_RETAINED_STREAM, &error))
     })
 }
 
 fn message_stream_config(max_bytes: i64) -> Config {
     Config {
-        name: MESSAGE_STREAM.into(),
-        subjects: vec![format!("{MESSAGE_SUBJECT_PREFIX}>")],
+        name: MQTT_MESSAGE_STREAM.into(),
+        subjects: vec![format!("{MQTT_MESSAGE_SUBJECT_PREFIX}>")],
         storage: StorageType::File,
         retention: RetentionPolicy::Limits,
         discard: DiscardPolicy::Old,
@@ -70,7 +70,7 @@ fn message_stream_config(max_bytes: i64) -> Config {
 /// since such a stream would be gone when the listener's server starts. Servers before 2.12 do synchronise it.
 fn retained_stream_config() -> Config {
     Config {
-        name: RETAINED_STREAM.into(),
+        name: MQTT_RETAINED_STREAM.into(),
         subjects: vec!["$MQTT.rmsgs.>".into()],
         storage: StorageType::File,
         persist_mode: Some(PersistenceMode::Async),
@@ -95,7 +95,7 @@ pub fn read(
     };
     create_runtime()?.block_on(async {
         let context = connect_jetstream(access).await?;
-        let stream = context.get_stream(MESSAGE_STREAM).await.map_err(|error| {
+        let stream = context.get_stream(MQTT_MESSAGE_STREAM).await.map_err(|error| {
             let why = format!(
                 "{}: no records: {error}; trueup fleet server --mqtt HOST:PORT keeps them",
                 access.url
@@ -104,7 +104,7 @@ pub fn read(
         })?;
         let removed = stream.cached_info().state.first_sequence.saturating_sub(1);
         let config = pull::Config {
-            filter_subject: format!("{MESSAGE_SUBJECT_PREFIX}trueup.>"),
+            filter_subject: format!("{MQTT_MESSAGE_SUBJECT_PREFIX}trueup.>"),
             ack_policy: AckPolicy::None,
             inactive_threshold: CONSUMER_INACTIVE_THRESHOLD,
             memory_storage: true,
@@ -114,7 +114,7 @@ pub fn read(
         let mut left = consumer.cached_info().num_pending;
         let mut next = 1;
         while left > 0 {
-            let count = usize::try_from(left).unwrap_or(BATCH_SIZE).min(BATCH_SIZE);
+            let count = usize::try_from(left).unwrap_or(RECORD_BATCH_SIZE).min(RECORD_BATCH_SIZE);
             let requested =
                 consumer.fetch().max_messages(count).expires(REQUEST_TIMEOUT).messages();
             let mut batch = timeout(MULTIPART_RESPONSE_TIMEOUT, requested)
@@ -154,7 +154,7 @@ pub fn read(
 
 /// Returns the topic of MQTT that the server has made this subject of.
 fn mqtt_topic(subject: &str) -> String {
-    let own = subject.strip_prefix(MESSAGE_SUBJECT_PREFIX).unwrap_or(subject);
+    let own = subject.strip_prefix(MQTT_MESSAGE_SUBJECT_PREFIX).unwrap_or(subject);
     let parts: Vec<String> = own.split("//").map(|part| part.replace('.', "/")).collect();
     parts.join(".")
 }

@@ -16,7 +16,7 @@ use std::{
 use fs4::{FileExt, TryLockError};
 
 /// The oldest server that can synchronise always.
-pub(crate) const MIN_SERVER_VERSION: (u32, u32) = (2, 10);
+pub(crate) const MIN_NATS_SERVER_VERSION: (u32, u32) = (2, 10);
 
 /// The address of a server, its folder, and the login that it requires.
 #[derive(Clone)]
@@ -118,7 +118,7 @@ fn quote_config_string(text: impl AsRef<OsStr>) -> String {
 /// # Errors
 /// It does not start, or is too old.
 pub fn check_server_version(server: &Path) -> io::Result<(u32, u32)> {
-    let (major, minor) = MIN_SERVER_VERSION;
+    let (major, minor) = MIN_NATS_SERVER_VERSION;
     let refused = |kind, version_text: &dyn fmt::Display| {
         let why = format!(
             "{}: {version_text}; nats-server {major}.{minor} or newer is needed, which synchronises what it acknowledges (the \
@@ -130,7 +130,8 @@ pub fn check_server_version(server: &Path) -> io::Result<(u32, u32)> {
     let output = Command::new(server).arg("--version").output();
     let output = output.map_err(|error| refused(error.kind(), &error))?;
     let version_text = String::from_utf8_lossy(&output.stdout).into_owned();
-    let version = parse_version(&version_text).filter(|version| *version >= MIN_SERVER_VERSION);
+    let version =
+        parse_version(&version_text).filter(|version| *version >= MIN_NATS_SERVER_VERSION);
     version.ok_or_else(|| {
         refused(io::ErrorKind::Unsupported, &format_args!("says {:?}", version_text.trim()))
     })
@@ -151,7 +152,7 @@ mod tests {
         assert_eq!(parse_version("nats-server: v2.15.1\n"), Some((2, 15)));
         assert!(
             parse_version("nats-server: v2.9.10")
-                .is_some_and(|version| version < MIN_SERVER_VERSION)
+                .is_some_and(|version| version < MIN_NATS_SERVER_VERSION)
         );
         assert_eq!(parse_version("nats-server: v2.12.0-preview.1"), Some((2, 12)));
         assert_eq!(parse_version("no server"), None);

@@ -4,7 +4,7 @@ use std::io;
 
 use super::{QUEUE_SUBJECT, RemoteFleet};
 use crate::{
-    job::{Job, Submission, SubmittedJob},
+    job::{Job, JobSubmission, SubmittedJob},
     store::FleetStore,
 };
 
@@ -14,7 +14,7 @@ impl RemoteFleet {
     ///
     /// # Errors
     /// The server does not answer, or has another job under this identifier.
-    pub fn submit(&self, submission: &Submission) -> io::Result<SubmittedJob> {
+    pub fn submit(&self, submission: &JobSubmission) -> io::Result<SubmittedJob> {
         let folder = tempfile::tempdir()?;
         let store = FleetStore::create(folder.path())?;
         let id = submission.submit(&store)?.id;

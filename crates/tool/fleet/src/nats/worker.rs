@@ -24,7 +24,7 @@ use crate::{
     worker::{self, DiagnoseFn, JobCounts, RENEWALS_PER_LEASE, WorkerOptions},
 };
 
-const CONSUMER_NAME: &str = "workers";
+const WORKER_CONSUMER_NAME: &str = "workers";
 /// How long one question for a job waits.
 const FETCH_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a server may be away before workers that are to end give up.
@@ -57,12 +57,12 @@ impl RemoteFleet {
     /// the one that is there stays.
     fn open_consumer(&self, lease: Duration, report: &ReportFn<'_>) -> io::Result<PullConsumer> {
         let config = pull::Config {
-            durable_name: Some(CONSUMER_NAME.into()),
+            durable_name: Some(WORKER_CONSUMER_NAME.into()),
             ack_policy: AckPolicy::Explicit,
             ack_wait: lease,
             ..Default::default()
         };
-        let there = self.queue.get_or_create_consumer(CONSUMER_NAME, config.clone());
+        let there = self.queue.get_or_create_consumer(WORKER_CONSUMER_NAME, config.clone());
         let there = self.wait_for_response("the queue", there)?;
         let info = there.cached_info();
         let (set, is_used) = (info.config.ack_wait, info.num_ack_pending > 0);
@@ -159,7 +159,7 @@ impl WorkerThreads<'_> {
             return self.acknowledge(message);
         }
         if has(&remote.failed)? {
-            return self.acknowledge_failed(message, id);
+            return self.acknowledge_failed_job(message, id);
         }
         // Another worker may have set it since. If it does so at this very moment, a job may be done twice, with one result.
         let info = remote
@@ -218,7 +218,7 @@ impl WorkerThreads<'_> {
             if is_failed { tally.failed += 1 } else { tally.done += 1 }
         }
         if is_failed {
-            self.acknowledge_failed(message, id)?;
+            self.acknowledge_failed_job(message, id)?;
         } else {
             self.acknowledge(message)?;
         }
@@ -235,7 +235,7 @@ impl WorkerThreads<'_> {
 
     /// Removes a job that has failed from the queue. If it was submitted again a moment before, the queue did not take it
     /// a second time: it is put back.
-    fn acknowledge_failed(&self, message: &Message, id: &str) -> Result<(), AttemptError> {
+    fn acknowledge_failed_job(&self, message: &Message, id: &str) -> Result<(), AttemptError> {
         self.acknowledge(message)?;
         let remote = self.remote;
         match remote.read_text(&remote.failed, id).map_err(AttemptError::Server)? {

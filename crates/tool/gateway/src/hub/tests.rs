@@ -24,7 +24,7 @@ fn transmit(hub: &mut Hub, now: u64, offset: Option<i32>) {
     let output = Output { offset, quality, age_ms: 2, ..Output::default() };
     let counter = hub.current_input_block().counter.wrapping_add(1) as u8;
     for frame in [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)] {
-        hub.receive(ms(now), &Event::Frame(frame));
+        hub.receive(ms(now), &AdapterMessage::Frame(frame));
     }
     hub.refresh_input_block(ms(now));
 }
@@ -80,11 +80,11 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
     let before = read(&hub);
     let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
     let counter = hub.current_input_block().counter.wrapping_add(1) as u8;
-    hub.receive(ms(2), &Event::Frame(encode_offset_xy(&output, counter)));
+    hub.receive(ms(2), &AdapterMessage::Frame(encode_offset_xy(&output, counter)));
     let whole = encode_offset_z(&output, counter);
     let mut data = *whole.data();
     data[7] ^= 1;
-    hub.receive(ms(2), &Event::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
+    hub.receive(ms(2), &AdapterMessage::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
     hub.refresh_input_block(ms(2));
     assert_eq!(read(&hub), before);
     assert_eq!(hub.counters().crc_errors, 1);
@@ -100,7 +100,7 @@ fn status_is_reported_until_it_is_too_old() {
     ];
     for (counter, item) in (0..).zip(items) {
         let status = Status { last_refused: FrameRejectReason::None, item };
-        hub.receive(ms(0), &Event::Frame(encode(&status, counter)));
+        hub.receive(ms(0), &AdapterMessage::Frame(encode(&status, counter)));
     }
     transmit(&mut hub, 3_400, Some(0));
     let input = read(&hub);
@@ -118,7 +118,7 @@ fn constant_and_slope_are_reported_while_all_three_are_fresh() {
         for axis in axes {
             let item = StatusItem::Slope { axis, constant: Some(-120), slope: -270 };
             let status = Status { last_refused: FrameRejectReason::None, item };
-            hub.receive(ms(at), &Event::Frame(encode(&status, counter + axis)));
+            hub.receive(ms(at), &AdapterMessage::Frame(encode(&status, counter + axis)));
         }
     };
     // Layout 2; K₀ of X in 0.01 µm; its slope in 0.1 µm/m.
@@ -150,7 +150,7 @@ fn engaged() -> CncData {
 #[test]
 fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     let mut hub = hub();
-    assert_eq!(hub.accept_block(ms(0), 1, &engaged().encode(5)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(0), 1, &engaged().encode(5)), Ok(BlockOutcome::Accepted));
     assert_eq!(hub.take_due_frames().len(), 1);
     let bad = {
         let mut block = engaged().encode(6);
@@ -162,26 +162,26 @@ fn only_a_new_block_of_the_one_master_becomes_a_frame() {
         (bad, BlockRejectReason::Damaged),
         (engaged().encode(99), BlockRejectReason::WrongSequence),
     ] {
-        assert_eq!(hub.accept_block(ms(40), 1, &block), Ok(BlockOutcome::Refused(why)));
+        assert_eq!(hub.accept_block(ms(40), 1, &block), Ok(BlockOutcome::Rejected(why)));
         assert!(hub.take_due_frames().is_empty() && hub.holding_registers()[0] == 5);
     }
     transmit(&mut hub, 50, Some(0));
     assert_eq!((read(&hub).last_refused, read(&hub).refused), (4, 3));
-    assert_eq!(hub.accept_block(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Accepted));
     // Another one: kept out and reported, until the first is silent or gone.
     let other = engaged().encode(7_000);
-    assert_eq!(hub.accept_block(ms(70), 2, &other), Err(Busy));
+    assert_eq!(hub.accept_block(ms(70), 2, &other), Err(RegistersBusy));
     transmit(&mut hub, 71, Some(0));
     assert_eq!(read(&hub).state, StateBits::SECOND_MASTER.0);
-    assert_eq!(hub.accept_block(ms(560), 2, &other), Err(Busy));
+    assert_eq!(hub.accept_block(ms(560), 2, &other), Err(RegistersBusy));
     assert_eq!(hub.fresh_control(ms(560)), Some(Control::ENGAGED));
     assert_eq!(hub.fresh_control(ms(561)), None);
-    assert_eq!(hub.accept_block(ms(561), 2, &other), Ok(BlockOutcome::Used));
-    assert_eq!(hub.accept_block(ms(570), 1, &engaged().encode(101)), Err(Busy));
-    hub.release_master(1);
-    assert_eq!(hub.accept_block(ms(571), 1, &engaged().encode(101)), Err(Busy));
-    hub.release_master(2);
-    assert_eq!(hub.accept_block(ms(572), 1, &engaged().encode(3)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(561), 2, &other), Ok(BlockOutcome::Accepted));
+    assert_eq!(hub.accept_block(ms(570), 1, &engaged().encode(101)), Err(RegistersBusy));
+    hub.unregister_master(1);
+    assert_eq!(hub.accept_block(ms(571), 1, &engaged().encode(101)), Err(RegistersBusy));
+    hub.unregister_master(2);
+    assert_eq!(hub.accept_block(ms(572), 1, &engaged().encode(3)), Ok(BlockOutcome::Accepted));
     hub.take_due_frames();
     assert!(hub.take_due_frames().is_empty(), "nothing is repeated by itself");
 }
@@ -195,7 +195,7 @@ fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
     let mut used = Vec::new();
     for (counter, now) in (0..).zip(times) {
         let taken = hub.accept_block(ms(now), 1, &engaged().encode(counter));
-        if taken == Ok(BlockOutcome::Used) {
+        if taken == Ok(BlockOutcome::Accepted) {
             used.push(now);
         }
     }
@@ -203,12 +203,12 @@ fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
     assert_eq!(used.iter().filter(|now| **now <= 1_000).count(), 50);
     assert!(used.iter().all(|now| *now != 6_000), "nothing of the backlog");
     assert_eq!(used.iter().find(|now| **now > 1_000), Some(&6_040));
-    assert_eq!((read(&hub).last_refused, read(&hub).refused), (REFUSED_STALE, 100));
+    assert_eq!((read(&hub).last_refused, read(&hub).refused), (REJECT_REASON_STALE, 100));
     // What comes long after its connection was made, alike.
-    hub.release_master(1);
+    hub.unregister_master(1);
     hub.register_master(ms(8_000), 2);
     assert_eq!(hub.accept_block(ms(9_000), 2, &engaged().encode(0)), Ok(BlockOutcome::MayBeOld));
-    assert_eq!(hub.accept_block(ms(9_100), 2, &engaged().encode(1)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(9_100), 2, &engaged().encode(1)), Ok(BlockOutcome::Accepted));
 }
 
 #[test]
@@ -218,7 +218,8 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
         hub.register_master(ms(0), 1);
         let of = |counter: u16| ms(u64::from(counter + 1) * period);
         let used = (0..50).filter(|counter| {
-            hub.accept_block(of(*counter), 1, &engaged().encode(*counter)) == Ok(BlockOutcome::Used)
+            hub.accept_block(of(*counter), 1, &engaged().encode(*counter))
+                == Ok(BlockOutcome::Accepted)
         });
         assert_eq!(used.count(), 50 - unused, "{period} ms");
     }
@@ -228,7 +229,7 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
 fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
     let status =
         Status { last_refused: FrameRejectReason::None, item: StatusItem::Calibration(crc) };
-    hub.receive(ms(now), &Event::Frame(encode(&status, counter)));
+    hub.receive(ms(now), &AdapterMessage::Frame(encode(&status, counter)));
 }
 
 #[test]
@@ -243,7 +244,10 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
         counter += 1;
         let cnc_data =
             CncData { control: Control { zero: true, ..Control::ENGAGED }, ..CncData::default() };
-        assert_eq!(hub.accept_block(ms(now), 1, &cnc_data.encode(counter)), Ok(BlockOutcome::Used));
+        assert_eq!(
+            hub.accept_block(ms(now), 1, &cnc_data.encode(counter)),
+            Ok(BlockOutcome::Accepted)
+        );
         let frames = hub.take_due_frames();
         match receiver.accept(frames.first().expect("a Control")) {
             Ok(Some(CncMessage::Control(control))) => (control.engage, control.zero),
@@ -256,7 +260,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     transmit(&mut hub, 20, Some(0));
     assert_eq!(sends(&mut hub, 40), (false, false), "another");
     transmit(&mut hub, 41, Some(0));
-    assert_eq!(read(&hub).last_refused, REFUSED_CALIBRATION);
+    assert_eq!(read(&hub).last_refused, REJECT_REASON_CALIBRATION);
     let messages = hub.take_messages();
     assert!(messages.len() == 1 && messages[0].contains("00000008"), "{messages:?}");
     runs_on(&mut hub, 60, 1, 7);
@@ -272,7 +276,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     // It is away for long.
     hub.refresh_input_block(ms(2_200));
     transmit(&mut hub, 2_210, Some(0));
-    hub.release_master(1);
+    hub.unregister_master(1);
     hub.register_master(ms(2_211), 1);
     assert_eq!(sends(&mut hub, 2_220), (false, false));
 }

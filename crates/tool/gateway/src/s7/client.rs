@@ -64,7 +64,7 @@ pub enum Error {
     #[error("the PLC refuses: error class 0x{0:02X}, code 0x{1:02X}; {advice}", advice = error_class_advice(*.0))]
     Refused(u8, u8),
     /// The data block is not there, too short, or closed to others; the item's code.
-    #[error("{}", item_error_text(*.0))]
+    #[error("{}", describe_item_error(*.0))]
     Item(u8),
     /// The bytes read back are not those written.
     #[error("what is read back is not what was written: does another write to this data block?")]
@@ -91,7 +91,7 @@ fn error_class_advice(class: u8) -> &'static str {
     }
 }
 
-fn item_error_text(code: u8) -> String {
+fn describe_item_error(code: u8) -> String {
     let text = match code {
         0x0A => {
             "the PLC has no such data block, or it is stored as optimized: look at its number (--db) and at its \
@@ -118,13 +118,13 @@ impl From<io::Error> for Error {
 
 /// A connection to a CPU.
 #[derive(Debug)]
-pub struct Client {
+pub(crate) struct S7Client {
     stream: TcpStream,
     reference: u16,
     pdu_length: usize,
 }
 
-impl Client {
+impl S7Client {
     /// Connects, and agrees on the length of a PDU.
     ///
     /// # Errors

@@ -11,16 +11,16 @@ use std::path::Path;
 use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
-use crate::{grid::Row, layout::SourceTable, unit::round_to_significant_digits};
+use crate::{cell_grid::CellRow, layout::SourceTable, unit::round_to_significant_digits};
 
 const FLAT_SURFACE_NOTE: &str =
     "the surface counts as flat: a point that is high by h is an error of −h in z";
 
-pub(super) fn is_reprap(text: &str) -> bool {
+pub(super) fn is_reprap_map(text: &str) -> bool {
     text.trim_start().starts_with("RepRapFirmware height map file")
 }
 
-pub(super) fn is_klipper(text: &str) -> bool {
+pub(super) fn is_klipper_map(text: &str) -> bool {
     unprefixed_lines(text)
         .any(|(_, line)| line.trim().starts_with("[bed_mesh ") && line.contains(']'))
         && text.contains("points")
@@ -38,7 +38,7 @@ struct HeightGrid {
 }
 
 /// Reads a map of RepRapFirmware.
-pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
+pub(super) fn parse_reprap_map(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let bad = |line: usize, rule: &str| {
         InputFileError::new(Location { file: path.into(), line, column: 1 }, rule.to_string())
     };
@@ -79,7 +79,7 @@ pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, Input
 }
 
 /// Reads the bed mesh of Klipper: the only one, or `default`.
-pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
+pub(super) fn parse_klipper_map(text: &str, path: &Path) -> Result<SourceTable, InputFileError> {
     let lines: Vec<(usize, &str)> = unprefixed_lines(text).collect();
     let bad = |line: usize, rule: String| {
         InputFileError::new(Location { file: path.into(), line, column: 1 }, rule)
@@ -167,7 +167,7 @@ fn build_surface_table(
             let place = |axis: usize, at: usize| {
                 round_to_significant_digits(grid.min_mm[axis] + at as f64 * grid.step_mm[axis])
             };
-            out.push(Row {
+            out.push(CellRow {
                 line: *line,
                 cells: vec![
                     number_cell(place(0, x)),

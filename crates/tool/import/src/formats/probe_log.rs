@@ -15,8 +15,8 @@ use trueup_machine::{InputFileError, Location};
 
 use super::{build_source_column, known_meaning, number_cell};
 use crate::{
-    answers::{Answers, ImportError, Question, QuestionTopic},
-    grid::Row,
+    answers::{ImportAnswers, ImportError, Question, QuestionTopic},
+    cell_grid::CellRow,
     layout::SourceTable,
     unit::round_to_significant_digits,
 };
@@ -30,16 +30,16 @@ const LINUXCNC_FIELD_COUNT: usize = 9;
 /// A touch: line and position; `None`: the probe has touched nothing.
 type ProbeTouch = (usize, Option<[f64; 3]>);
 
-pub(super) fn is_klipper(text: &str) -> bool {
+pub(super) fn is_klipper_log(text: &str) -> bool {
     text.lines().filter_map(parse_klipper_line).nth(1).is_some()
 }
 
-pub(super) fn is_grbl(text: &str) -> bool {
+pub(super) fn is_grbl_log(text: &str) -> bool {
     text.lines().filter(|line| line.contains("[PRB:")).nth(1).is_some()
 }
 
 /// True where every line has nine numbers, and the axes that a surface leaves alone stand still.
-pub(super) fn is_linuxcnc(text: &str) -> bool {
+pub(super) fn is_linuxcnc_log(text: &str) -> bool {
     let mut rows = non_empty_lines(text).map(|(_, line)| parse_linuxcnc_line(line));
     let Some(Some(first)) = rows.next() else { return false };
     let mut count = 1;
@@ -88,16 +88,16 @@ fn parse_grbl_line(line: &str) -> Option<Option<[f64; 3]>> {
 }
 
 /// Reads the console of Klipper.
-pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, ImportError> {
+pub(super) fn parse_klipper_log(text: &str, path: &Path) -> Result<SourceTable, ImportError> {
     let touches = text.lines().enumerate();
     let touches = touches.filter_map(|(at, line)| Some((at + 1, Some(parse_klipper_line(line)?))));
     build_surface_table(&touches.collect::<Vec<_>>(), || Ok("mm".into()), path)
 }
 
 /// Reads the console of GRBL.
-pub(super) fn parse_grbl(
+pub(super) fn parse_grbl_log(
     text: &str,
-    answers: &Answers,
+    answers: &ImportAnswers,
     path: &Path,
 ) -> Result<SourceTable, ImportError> {
     let mut touches: Vec<ProbeTouch> = Vec::new();
@@ -114,9 +114,9 @@ pub(super) fn parse_grbl(
 }
 
 /// Reads the file of LinuxCNC.
-pub(super) fn parse_linuxcnc(
+pub(super) fn parse_linuxcnc_log(
     text: &str,
-    answers: &Answers,
+    answers: &ImportAnswers,
     path: &Path,
 ) -> Result<SourceTable, ImportError> {
     let touch = |(at, line)| Some((at, Some(*parse_linuxcnc_line(line)?.first_chunk()?)));
@@ -126,7 +126,7 @@ pub(super) fn parse_linuxcnc(
 }
 
 /// Returns the unit that the user has given.
-fn require_unit(answers: &Answers, text: &str, path: &Path) -> Result<String, ImportError> {
+fn require_unit(answers: &ImportAnswers, text: &str, path: &Path) -> Result<String, ImportError> {
     let names = [UNIT_COLUMN, "3", "measured_dz_um"];
     let given = answers.units.iter().find(|(column, _)| names.contains(&column.as_str()));
     given.map(|(_, unit)| unit.clone()).ok_or_else(|| {
@@ -173,7 +173,7 @@ fn build_surface_table(
         ));
     }
     let place = Location { file: path.into(), line: first, column: 1 };
-    let row = |(line, [x, y, z]): &(usize, [f64; 3])| Row {
+    let row = |(line, [x, y, z]): &(usize, [f64; 3])| CellRow {
         line: *line,
         cells: vec![
             number_cell(*x),

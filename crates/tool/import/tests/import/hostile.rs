@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, ImportError, import, is_foreign_format};
+use trueup_import::{ImportAnswers, ImportError, import, is_foreign_format};
 use trueup_machine::RunFile;
 
 #[test]
@@ -55,7 +55,7 @@ fn no_change_of_bytes_makes_it_panic_or_write_what_is_no_run_file() {
         }
         let path = Path::new(name);
         foreign += usize::from(is_foreign_format(&bytes, path));
-        let mut answers = Answers::default();
+        let mut answers = ImportAnswers::default();
         for _ in 0..6 {
             match import(&bytes, path, &answers) {
                 Ok(imported) => {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, Circle, ImportError, import};
+use trueup_import::{CircleGeometry, ImportAnswers, ImportError, import};
 
 use crate::{QuestionTopic, answers, bad, column, open, read_as, unit, values};
 
@@ -245,14 +245,15 @@ fn a_table_below_the_title_of_a_probing_cycle_is_read() {
 
 #[test]
 fn a_table_of_angles_becomes_positions_on_the_circle_that_is_named() {
-    let circle = |is_clockwise| Circle {
+    let circle = |is_clockwise| CircleGeometry {
         radius_mm: 100.0,
         centre_mm: [250.0, -40.0],
         axes: ['z', 'x'],
         is_clockwise,
     };
     let import = |text: &str, is_clockwise| {
-        let answers = Answers { circle: Some(circle(is_clockwise)), ..Answers::default() };
+        let answers =
+            ImportAnswers { circle: Some(circle(is_clockwise)), ..ImportAnswers::default() };
         import(text.as_bytes(), "bar.csv".as_ref(), &answers)
     };
     let table = "angle_deg,dr_um\n0,1.5\n90,-2\n180,0.25\n";

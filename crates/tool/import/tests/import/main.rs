@@ -11,12 +11,12 @@ mod workbooks;
 
 use std::path::Path;
 
-use trueup_import::{Answers, ImportError, ImportedRun, QuestionTopic, import};
+use trueup_import::{ImportAnswers, ImportError, ImportedRun, QuestionTopic, import};
 use trueup_machine::RunFile;
 
 /// Returns what the user has stated.
-fn answers(given: &[(QuestionTopic, &str)]) -> Answers {
-    let mut answers = Answers::default();
+fn answers(given: &[(QuestionTopic, &str)]) -> ImportAnswers {
+    let mut answers = ImportAnswers::default();
     for (topic, value) in given {
         answers.record_answer(topic, value).expect("an answer");
     }

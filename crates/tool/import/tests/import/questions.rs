@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, ImportError, import, is_foreign_format};
+use trueup_import::{ImportAnswers, ImportError, import, is_foreign_format};
 
 use crate::{QuestionTopic, bad, column, open, read, unit, values};
 
@@ -72,7 +72,7 @@ fn each_question_names_its_flag_and_any_answer_to_it_is_taken() {
         "Zeit [s];Sensor [V]\n0;1\n1;2\n",
     ];
     for text in texts {
-        let mut answers = Answers::default();
+        let mut answers = ImportAnswers::default();
         let mut requested = 0;
         while let Err(ImportError::Open(questions)) =
             import(text.as_bytes(), Path::new("t.csv"), &answers)

@@ -3,8 +3,8 @@
 use trueup_core::units::AdcCode;
 use trueup_machine::{
     InputFileError, Machine, compile,
-    file::LinearAxis,
     inputs::ADC_REFERENCE_VOLTS,
+    machine_file::LinearAxis,
     model::{max_over_compensation_um, required_columns},
 };
 

@@ -6,25 +6,25 @@ use super::{
     OffsetEntryPoint,
     finding::{ConfigurationFinding, OffsetRequirements, Severity},
     hal_files::HalFiles,
-    ini_lines::IniLines,
+    ini_file::IniFile,
     input_signals,
-    installed::find_manual_setup,
+    installed_setup::find_manual_setup,
     joints::{
         DEFAULT_HEADROOM_RATIO, Headroom, Joint, LOW_HEADROOM_WARNING_RATIO, REFERENCE_REVERSAL_UM,
         compute_offset_av_ratio, read_joints, rest_to_rest_time_s,
     },
     wiring,
 };
-use crate::ini::IniSettings;
+use crate::ini_settings::IniSettings;
 
 /// Servo periods that are supported, in ns.
-const SUPPORTED_SERVO_PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
+const SUPPORTED_SERVO_PERIOD_RANGE_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
 /// Without a board a servo period may differ by this from one that is supported, in ns.
 const SERVO_PERIOD_TOLERANCE_NS: f64 = 1e3;
 /// `OFFSET_AV_RATIO` may be so large.
 const MAX_OFFSET_AV_RATIO: f64 = 0.9;
 const AXIS_NAMES: [&str; 3] = ["X", "Y", "Z"];
-const PERCENT: f64 = 100.0;
+const PERCENT_PER_UNIT: f64 = 100.0;
 const MS_PER_S: f64 = 1e3;
 const UM_PER_MM: f64 = 1e3;
 
@@ -49,7 +49,7 @@ impl CheckReport {
 
 /// Checks a configuration.
 #[must_use]
-pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> CheckReport {
+pub fn check(ini: &IniFile, hal: &HalFiles, demand: &OffsetRequirements) -> CheckReport {
     let mut report = CheckReport::default();
     for section in ["HAL", "TRUEUP", "KINS", "TRAJ", "EMCMOT"] {
         check_duplicate_section(ini, section, &mut report);
@@ -65,7 +65,7 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
         }
     };
     if is_closed {
-        report.by_hand = Some(wiring::generate_manual_lines(ini, hal, &joints, demand));
+        report.by_hand = Some(wiring::generate_manual_hal_lines(ini, hal, &joints, demand));
     }
     report.facts.push(format!(
         "offsets enter {}, up to {} um/s; servo period {} ms",
@@ -114,7 +114,7 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
 }
 
 /// LinuxCNC reads the first section of a name alone: lines of a second one have no effect.
-fn check_duplicate_section(ini: &IniLines, section: &str, report: &mut CheckReport) {
+fn check_duplicate_section(ini: &IniFile, section: &str, report: &mut CheckReport) {
     if let Some(place) = ini.find_duplicate_section(section) {
         report.findings.push(ConfigurationFinding::warning(
             place,
@@ -125,7 +125,7 @@ fn check_duplicate_section(ini: &IniLines, section: &str, report: &mut CheckRepo
 }
 
 /// HAL files that cannot be followed.
-fn check_hal_files(ini: &IniLines, hal: &HalFiles, report: &mut CheckReport) {
+fn check_hal_files(ini: &IniFile, hal: &HalFiles, report: &mut CheckReport) {
     let by_hand = "setup cannot change it; add the lines by hand that are printed with this check";
     if let Some(value) = ini.value("HAL", "TWOPASS") {
         let what =
@@ -139,7 +139,7 @@ fn check_hal_files(ini: &IniLines, hal: &HalFiles, report: &mut CheckReport) {
 }
 
 /// Units and servo period.
-fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<IniSettings> {
+fn check_base_settings(ini: &IniFile, report: &mut CheckReport) -> Option<IniSettings> {
     let base = match IniSettings::parse(&ini.to_text()) {
         Ok(base) => base,
         Err(error) => {
@@ -150,7 +150,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<IniSe
     };
     let period_ns = base.cycle_s * 1e9;
     // A billionth of rounding.
-    if !SUPPORTED_SERVO_PERIODS_NS.contains(&period_ns.round()) {
+    if !SUPPORTED_SERVO_PERIOD_RANGE_NS.contains(&period_ns.round()) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
         report.findings.push(ConfigurationFinding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
@@ -162,7 +162,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<IniSe
 }
 
 /// The node's tick is a millisecond, and a servo period is half of one or some.
-fn check_servo_period(ini: &IniLines, base: &IniSettings, report: &mut CheckReport) {
+fn check_servo_period(ini: &IniFile, base: &IniSettings, report: &mut CheckReport) {
     let us = (base.cycle_s * 1e6).round();
     if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
@@ -194,7 +194,7 @@ fn check_servo_period(ini: &IniLines, base: &IniSettings, report: &mut CheckRepo
 
 /// LinuxCNC's own compensation of the screw, together with ours.
 fn check_double_compensation(
-    ini: &IniLines,
+    ini: &IniFile,
     joint: &Joint,
     demand: &OffsetRequirements,
     report: &mut CheckReport,
@@ -242,13 +242,13 @@ fn check_joint_headroom(
 ) {
     let section = joint.section_name();
     let acceleration = &joint.acceleration;
-    let share = acceleration.relative_headroom() * PERCENT;
+    let share = acceleration.relative_headroom() * PERCENT_PER_UNIT;
     let slew_mm_per_s = demand.slew_um_per_s / UM_PER_MM;
     let mm_per_s = joint.max_offset_rate_mm_per_s(slew_mm_per_s, base.mm_per_unit);
     let time_s = rest_to_rest_time_s(
         REFERENCE_REVERSAL_UM / UM_PER_MM,
         mm_per_s,
-        acceleration.available_for_offset() * base.mm_per_unit,
+        acceleration.available_headroom() * base.mm_per_unit,
     );
     let line = |key: &str, headroom: &Headroom| {
         format!(
@@ -260,14 +260,14 @@ fn check_joint_headroom(
         "if the drive has more, state it: {}; if not, lower MAX_ACCELERATION of joint and axis",
         line("STEPGEN_MAXACCEL", acceleration)
     );
-    if acceleration.stated.is_some() && acceleration.available_for_offset() <= 0.0 {
+    if acceleration.stated.is_some() && acceleration.available_headroom() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXACCEL leaves nothing above MAX_ACCELERATION: an offset cannot move"
         );
         report.findings.push(ConfigurationFinding::error(joint.place.clone(), what, mend));
         return;
     }
-    if joint.velocity.stated.is_some() && joint.velocity.available_for_offset() <= 0.0 {
+    if joint.velocity.stated.is_some() && joint.velocity.available_headroom() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXVEL leaves nothing above MAX_VELOCITY: an offset cannot move"
         );
@@ -276,7 +276,7 @@ fn check_joint_headroom(
         report.findings.push(ConfigurationFinding::error(joint.place.clone(), what, mend));
         return;
     }
-    if share < LOW_HEADROOM_WARNING_RATIO * PERCENT {
+    if share < LOW_HEADROOM_WARNING_RATIO * PERCENT_PER_UNIT {
         let what = format!(
             "[{section}]: the drive has {share:.1} % of acceleration above the planner's: a reversal of {REFERENCE_REVERSAL_UM} um takes {:.1} ms",
             time_s * MS_PER_S
@@ -309,7 +309,7 @@ fn check_joint_headroom(
 
 /// Cost and speed of external offsets.
 fn check_external_offsets(
-    ini: &IniLines,
+    ini: &IniFile,
     joints: &[Joint],
     base: &IniSettings,
     demand: &OffsetRequirements,
@@ -371,7 +371,7 @@ fn check_external_offsets(
         report.facts.push(format!(
             "axis {name}: OFFSET_AV_RATIO = {ratio:.6}{}: programs lose {:.3} % of speed and acceleration; a reversal of {REFERENCE_REVERSAL_UM} um takes {:.0} ms",
             if stated.is_some() { "" } else { " (setup adds it)" },
-            ratio * PERCENT,
+            ratio * PERCENT_PER_UNIT,
             rest_to_rest_time_s(REFERENCE_REVERSAL_UM / UM_PER_MM, slew, acceleration) * MS_PER_S
         ));
     }
@@ -382,7 +382,7 @@ fn check_external_offsets(
 /// # Errors
 /// The configuration cannot be followed.
 pub fn check_joint_limits(
-    ini: &IniLines,
+    ini: &IniFile,
     demand: &OffsetRequirements,
 ) -> Result<Vec<ConfigurationFinding>, InputFileError> {
     let (mut report, joints) = (CheckReport::default(), read_joints(ini)?);
@@ -394,7 +394,7 @@ pub fn check_joint_limits(
 
 /// Room between the ranges of programs and the joints' limits.
 fn check_soft_limits(
-    ini: &IniLines,
+    ini: &IniFile,
     joints: &[Joint],
     base: &IniSettings,
     demand: &OffsetRequirements,

@@ -5,9 +5,11 @@
 
 use std::{collections::BTreeMap, path::PathBuf};
 
-use trueup_machine::{InputFileError, Location, bounded_read, file::MAX_MACHINE_FILE_BYTES};
+use trueup_machine::{
+    InputFileError, Location, bounded_read, machine_file::MAX_MACHINE_FILE_BYTES,
+};
 
-use super::ini_lines::{IniLines, IniValue, expand_home, is_file};
+use super::ini_file::{IniFile, IniValue, expand_home, is_file};
 
 /// Where LinuxCNC keeps HAL files of its own, unless `HALLIB_DIR` says otherwise.
 const HAL_LIBRARY_DIR: &str = "/usr/share/linuxcnc/hallib";
@@ -52,7 +54,7 @@ impl HalFiles {
     ///
     /// # Errors
     /// A file is missing or cannot be read.
-    pub fn read(ini: &IniLines) -> Result<Self, InputFileError> {
+    pub fn read(ini: &IniFile) -> Result<Self, InputFileError> {
         let mut all = Self::default();
         let users = |key| ini.values("HAL", key).into_iter().filter(|value| !value.is_ours);
         for value in users("HALFILE") {
@@ -98,7 +100,7 @@ impl HalFiles {
 
     /// Returns the line that names a pin after the HAL files.
     #[must_use]
-    pub(crate) fn late_reference(&self, pin: &str) -> Option<Location> {
+    pub(crate) fn find_late_reference(&self, pin: &str) -> Option<Location> {
         let names = |command: &&HalCommand| command.words.iter().skip(1).any(|word| word == pin);
         self.late.iter().find(names).map(|command| command.place.clone())
     }
@@ -122,7 +124,7 @@ impl HalFiles {
     ///
     /// # Errors
     /// No thread runs it, or a position is beyond the functions that are there.
-    pub(crate) fn motion_thread(&self) -> Result<(String, Vec<String>), ThreadOrderError> {
+    pub(crate) fn find_motion_thread(&self) -> Result<(String, Vec<String>), ThreadOrderError> {
         let controller = self.commands.iter().find(|command| {
             command.words[0] == "addf"
                 && command.words[1..].first().is_some_and(|word| word == MOTION_CONTROLLER_FUNCTION)
@@ -170,7 +172,7 @@ pub(crate) const MOTION_CONTROLLER_FUNCTION: &str = "motion-controller";
 pub(crate) struct ThreadOrderError(pub Option<Location>);
 
 /// Looks for a HAL file as the script `linuxcnc` does.
-fn find_hal_file(ini: &IniLines, name: &str) -> Option<PathBuf> {
+fn find_hal_file(ini: &IniFile, name: &str) -> Option<PathBuf> {
     let library = std::env::var_os("HALLIB_DIR")
         .map_or_else(|| PathBuf::from(HAL_LIBRARY_DIR), PathBuf::from);
     let places = match name.strip_prefix("LIB:") {
@@ -183,7 +185,7 @@ fn find_hal_file(ini: &IniLines, name: &str) -> Option<PathBuf> {
 
 fn append_commands(
     commands: &mut Vec<HalCommand>,
-    ini: &IniLines,
+    ini: &IniFile,
     path: &std::path::Path,
     depth: usize,
 ) -> Result<(), InputFileError> {
@@ -214,7 +216,7 @@ fn append_commands(
 }
 
 /// Returns the command of a line; `None` for a comment or an empty line.
-fn parse_command(ini: &IniLines, line: &str, place: &Location) -> Option<HalCommand> {
+fn parse_command(ini: &IniFile, line: &str, place: &Location) -> Option<HalCommand> {
     let line = line.split('#').next().unwrap_or_default();
     let replaced = line.split_whitespace().map(|word| substitute_ini_values(ini, word));
     // A value may be several words: `loadrt [KINS]KINEMATICS`.
@@ -225,7 +227,7 @@ fn parse_command(ini: &IniLines, line: &str, place: &Location) -> Option<HalComm
 }
 
 /// Replaces `[SECTION]KEY` and `[SECTION](KEY)` in a word.
-fn substitute_ini_values(ini: &IniLines, word: &str) -> String {
+fn substitute_ini_values(ini: &IniFile, word: &str) -> String {
     let Some((before, rest)) = word.split_once('[') else { return word.to_owned() };
     let Some((section, rest)) = rest.split_once(']') else { return word.to_owned() };
     let (key, after) = match rest.strip_prefix('(').and_then(|rest| rest.split_once(')')) {
@@ -282,12 +284,12 @@ pub(crate) mod tests {
     /// Returns a configuration in a folder that lives as long as it.
     pub(crate) fn configuration(
         files: &[(&str, &str)],
-    ) -> (tempfile::TempDir, IniLines, Result<HalFiles, InputFileError>) {
+    ) -> (tempfile::TempDir, IniFile, Result<HalFiles, InputFileError>) {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, text) in files {
             std::fs::write(folder.path().join(name), text).expect("writes");
         }
-        let ini = IniLines::read(&folder.path().join(files[0].0)).expect("reads");
+        let ini = IniFile::read(&folder.path().join(files[0].0)).expect("reads");
         let hal = HalFiles::read(&ini);
         (folder, ini, hal)
     }
@@ -311,7 +313,7 @@ pub(crate) mod tests {
         // A HALCMD line runs after all HAL files, and so after those of setup.
         assert_eq!(on("p10"), None);
         assert_eq!(hal.final_link("p10").map(|link| link.signal).as_deref(), Some("c"));
-        assert_eq!(hal.late_reference("p10").map(|command| command.line), Some(3));
+        assert_eq!(hal.find_late_reference("p10").map(|command| command.line), Some(3));
         assert_eq!(hal.find_link("p2").expect("linked").place.line, 1);
         assert!(on("p9").is_some(), "a sourced file counts");
     }
@@ -322,14 +324,14 @@ pub(crate) mod tests {
                    addf other base-thread\naddf before-last servo-thread -2\naddf gone servo-thread\ndelf gone servo-thread\n";
         let (_folder, _, hal) =
             configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", hal)]);
-        let (thread, functions) = hal.expect("reads").motion_thread().expect("one");
+        let (thread, functions) = hal.expect("reads").find_motion_thread().expect("one");
         assert_eq!(thread, "servo-thread");
         assert_eq!(functions, ["first", "motion-controller", "before-last", "late"]);
         let (_folder, _, hal) = configuration(&[
             ("m.ini", "[HAL]\nHALFILE = m.hal\n"),
             ("m.hal", "addf x servo-thread\n"),
         ]);
-        assert_eq!(hal.expect("reads").motion_thread(), Err(ThreadOrderError(None)));
+        assert_eq!(hal.expect("reads").find_motion_thread(), Err(ThreadOrderError(None)));
     }
 
     #[test]

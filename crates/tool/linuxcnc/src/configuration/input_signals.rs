@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 use super::{
     finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::HalFiles,
-    ini_lines::IniLines,
+    ini_file::IniFile,
     inputs::NamedInput,
-    servo_lines::{SERVO_FUNCTION, TEMPERATURE_TIMEOUT_MS},
+    servo_hal_lines::{SERVO_FUNCTION, TEMPERATURE_TIMEOUT_MS},
 };
 
 /// Signals that are connected where they are, and missed nowhere.
@@ -29,7 +29,7 @@ const BOARDLESS_SIGNALS: [(&str, &str); 2] = [
 /// Returns a finding for each input of the machine file that no HAL file brings.
 pub(super) fn find_missing_inputs(
     demand: &OffsetRequirements,
-    ini: &IniLines,
+    ini: &IniFile,
     hal: &HalFiles,
 ) -> Vec<ConfigurationFinding> {
     let missing = all_inputs(demand).filter(|input| !hal.has_signal(&input.signal));

@@ -6,10 +6,10 @@
 
 use trueup_machine::{InputFileError, Location};
 
-use super::ini_lines::{IniLines, IniValue};
+use super::ini_file::{IniFile, IniValue};
 use crate::{
     NANOMETRES_PER_MILLIMETRE,
-    joint::{JointSettings, MAX_JOINTS},
+    joint_offsets::{JointSettings, MAX_JOINTS},
 };
 
 /// Headroom of a drive whose INI file states none, as a share of what the planner uses.
@@ -41,7 +41,7 @@ impl Headroom {
 
     /// Returns what an offset may use, in machine units per second (squared); at least 0.
     #[must_use]
-    pub(crate) fn available_for_offset(&self) -> f64 {
+    pub(crate) fn available_headroom(&self) -> f64 {
         (self.relative_headroom() * self.planner).max(0.0)
     }
 }
@@ -73,7 +73,7 @@ impl Joint {
     /// Returns the fastest change of an offset in mm/s, not above `slew_mm_per_s`.
     #[must_use]
     pub(crate) fn max_offset_rate_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
-        slew_mm_per_s.min(self.velocity.available_for_offset() * mm_per_unit)
+        slew_mm_per_s.min(self.velocity.available_headroom() * mm_per_unit)
     }
 }
 
@@ -106,7 +106,7 @@ pub(crate) fn compute_offset_av_ratio(
 ///
 /// # Errors
 /// Kinematics other than `trivkins`, joints that do not fit them, or a value that is not a number.
-pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, InputFileError> {
+pub(crate) fn read_joints(ini: &IniFile) -> Result<Vec<Joint>, InputFileError> {
     let letters = joint_axis_letters(ini)?;
     let mut joints = Vec::new();
     for (number, letter) in letters.chars().enumerate() {
@@ -145,7 +145,7 @@ pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, InputFileError> 
 /// # Errors
 /// As `read_joints`, and a joint whose drive leaves nothing for an offset.
 pub fn build_joint_settings(
-    ini: &IniLines,
+    ini: &IniFile,
     mm_per_unit: f64,
     slew_mm_per_s: f64,
 ) -> Result<[Option<JointSettings>; MAX_JOINTS], InputFileError> {
@@ -153,7 +153,7 @@ pub fn build_joint_settings(
     for (settings, joint) in all.iter_mut().zip(read_joints(ini)?) {
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
         let mm_per_s = joint.max_offset_rate_mm_per_s(slew_mm_per_s, mm_per_unit);
-        let mm_per_s2 = joint.acceleration.available_for_offset() * mm_per_unit;
+        let mm_per_s2 = joint.acceleration.available_headroom() * mm_per_unit;
         if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
             let rule = format!(
                 "joint {}: nothing is left for an offset ({mm_per_s} mm/s, {mm_per_s2} mm/s²)",
@@ -178,7 +178,7 @@ pub fn build_joint_settings(
 }
 
 /// Returns the axis letter of each joint.
-fn joint_axis_letters(ini: &IniLines) -> Result<String, InputFileError> {
+fn joint_axis_letters(ini: &IniFile) -> Result<String, InputFileError> {
     let Some(kinematics) = ini.value("KINS", "KINEMATICS") else {
         return Err(InputFileError::new(ini.section_location("KINS"), "[KINS]KINEMATICS is missing")
             .with_help("an offset needs to know which joint moves which axis: KINEMATICS = trivkins coordinates=XYZ"));
@@ -216,13 +216,13 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, InputFileError> {
     let all = joints as usize;
     let letters: String = letters.chars().take(all).collect();
     if let Some(traj) = ini.value("TRAJ", "COORDINATES") {
-        check_coordinates(&letters, &traj)?;
+        check_traj_coordinates(&letters, &traj)?;
     }
     Ok(letters)
 }
 
 /// `[TRAJ]COORDINATES` names no axis without a joint.
-fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), InputFileError> {
+fn check_traj_coordinates(letters: &str, traj: &IniValue) -> Result<(), InputFileError> {
     let axes = traj.without_comment().to_ascii_uppercase();
     match axes
         .chars()
@@ -296,11 +296,11 @@ mod tests {
                     [JOINT_2]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 300\n";
         let joints = of("KINEMATICS = trivkins\nJOINTS = 3", text).expect("reads");
         let left: Vec<f64> =
-            joints.iter().map(|joint| joint.acceleration.available_for_offset()).collect();
+            joints.iter().map(|joint| joint.acceleration.available_headroom()).collect();
         assert_eq!(left, [250.0, 80.0, 0.0]);
         assert!(
-            (joints[1].velocity.available_for_offset() - 1.0).abs() < 1e-9
-                && joints[0].velocity.available_for_offset() == 6.0
+            (joints[1].velocity.available_headroom() - 1.0).abs() < 1e-9
+                && joints[0].velocity.available_headroom() == 6.0
         );
         assert!(joints[2].acceleration.relative_headroom() < 0.0);
         assert_eq!(joints[1].max_offset_rate_mm_per_s(0.5, 25.4), 0.5);

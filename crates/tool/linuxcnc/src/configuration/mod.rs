@@ -1,25 +1,25 @@
 //! A user's LinuxCNC configuration: what is in it, what stands in the way of offsets, and how they are added.
 //!
 //! ```text
-//!  INI + #INCLUDE ─► ini_lines ─┬─► joints ──┐
+//!  INI + #INCLUDE ─► ini_file ─┬─► joints ──┐
 //!  HALFILE, source ─► hal_files ┴────────────┴─► check ─► wiring ─► install
 //! ```
 //!
-//! [`ini_lines`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
+//! [`ini_file`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
 //! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`boardless`] what a bridge without a board needs,
-//! [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
+//! [`installed_setup`] finds what is there already, [`setup`] puts them into the configuration and takes them out.
 
 pub mod boardless;
 pub mod check;
 pub mod finding;
 pub mod hal_files;
-pub mod ini_lines;
+pub mod ini_file;
 mod input_signals;
 pub mod inputs;
-pub mod install;
-pub mod installed;
+pub mod installed_setup;
 pub mod joints;
-mod servo_lines;
+mod servo_hal_lines;
+pub mod setup;
 pub mod wiring;
 
 /// Where offsets enter LinuxCNC.

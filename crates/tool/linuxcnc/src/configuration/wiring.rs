@@ -32,12 +32,12 @@ use super::{
     boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
     finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::{HalFiles, MOTION_CONTROLLER_FUNCTION, ThreadOrderError},
-    ini_lines::IniLines,
+    ini_file::IniFile,
     input_signals,
     joints::Joint,
-    servo_lines::{self, REALTIME_COMPONENT_NAME, SERVO_FUNCTION, round_to_billionth},
+    servo_hal_lines::{self, REALTIME_COMPONENT_NAME, SERVO_FUNCTION, round_to_billionth},
 };
-use crate::ini::IniSettings;
+use crate::ini_settings::IniSettings;
 
 /// The HAL file that is loaded once.
 pub(crate) const REALTIME_HAL_FILE: &str = "trueup_realtime.hal";
@@ -70,7 +70,7 @@ pub(crate) struct Wiring {
 /// # Errors
 /// Something is in the way, each with its place.
 pub(crate) fn generate_hal_files(
-    ini: &IniLines,
+    ini: &IniFile,
     hal: &HalFiles,
     joints: &[Joint],
     demand: &OffsetRequirements,
@@ -88,8 +88,8 @@ pub(crate) fn generate_hal_files(
 /// Returns the lines for a configuration that setup cannot change; `SIGNAL-OF-…` stands for a signal that only the
 /// user knows.
 #[must_use]
-pub(crate) fn generate_manual_lines(
-    ini: &IniLines,
+pub(crate) fn generate_manual_hal_lines(
+    ini: &IniFile,
     hal: &HalFiles,
     joints: &[Joint],
     demand: &OffsetRequirements,
@@ -120,7 +120,7 @@ pub(crate) fn generate_manual_lines(
 }
 
 struct HalWriter<'a> {
-    ini: &'a IniLines,
+    ini: &'a IniFile,
     hal: &'a HalFiles,
     findings: Vec<ConfigurationFinding>,
 }
@@ -129,7 +129,7 @@ impl HalWriter<'_> {
     fn generate_realtime_file(&mut self, joints: &[Joint], demand: &OffsetRequirements) -> String {
         let mut text =
             format!("{GENERATED_FILE_HEADER}\n# Loaded once, after the machine's own files.\n");
-        let (thread, functions) = self.hal.motion_thread().unwrap_or_else(|ThreadOrderError(place)| {
+        let (thread, functions) = self.hal.find_motion_thread().unwrap_or_else(|ThreadOrderError(place)| {
             let place = place.unwrap_or_else(|| self.ini.section_location("HAL"));
             self.findings.push(ConfigurationFinding::error(
                 place,
@@ -139,7 +139,7 @@ impl HalWriter<'_> {
             ("servo-thread".into(), vec!["motion-command-handler".into(), MOTION_CONTROLLER_FUNCTION.into()])
         });
         if let Some(no_board) = &demand.no_board {
-            text += &servo_lines::format_load_lines(
+            text += &servo_hal_lines::format_load_lines(
                 no_board,
                 self.ini,
                 joints,
@@ -185,7 +185,7 @@ impl HalWriter<'_> {
             "\nloadrt moveoff names={LIMITER_INSTANCE} personality={}",
             joints.len()
         );
-        self.load_module(text, "offset", &names);
+        self.write_loadrt(text, "offset", &names);
         let stops = self.load_speed_ramps(text, &names);
         // The feedback just before the motion controller, the command just after it.
         let controller = functions
@@ -228,7 +228,8 @@ impl HalWriter<'_> {
         let mm_per_unit = IniSettings::parse(&self.ini.to_text()).unwrap_or_default().mm_per_unit;
         for (channel, (joint, name)) in joints.iter().zip(&names).enumerate() {
             let number = joint.number;
-            let [command, feedback] = ["cmd", "fb"].map(|end| self.joint_signal(joint, end));
+            let [command, feedback] =
+                ["cmd", "fb"].map(|end| self.resolve_joint_signal(joint, end));
             let _ = write!(
                 text,
                 "\n# Joint {number}: {command} and {feedback} are the drive's from here on.\n\
@@ -251,16 +252,16 @@ impl HalWriter<'_> {
                      setp {name}-speed.maxv {acceleration}\n\
                      setp {LIMITER_INSTANCE}.offset-accel-{channel} {acceleration}\n",
                     speed = round_to_billionth(speed),
-                    acceleration = round_to_billionth(joint.acceleration.available_for_offset())
+                    acceleration = round_to_billionth(joint.acceleration.available_headroom())
                 );
             }
         }
     }
 
     /// Returns the signal on the command or the feedback of a joint.
-    fn joint_signal(&mut self, joint: &Joint, end: &str) -> String {
+    fn resolve_joint_signal(&mut self, joint: &Joint, end: &str) -> String {
         let pin = format!("joint.{}.motor-pos-{end}", joint.number);
-        if let Some(place) = self.hal.late_reference(&pin) {
+        if let Some(place) = self.hal.find_late_reference(&pin) {
             self.findings.push(ConfigurationFinding::error(
                 place,
                 format!(
@@ -281,7 +282,7 @@ impl HalWriter<'_> {
     }
 
     /// Loads a module with these instances, unless the user's own line names them already.
-    fn load_module(&mut self, text: &mut String, module: &str, names: &[String]) {
+    fn write_loadrt(&mut self, text: &mut String, module: &str, names: &[String]) {
         let Some(loaded) = self.hal.find_loadrt(module) else {
             let _ = writeln!(text, "loadrt {module} names={}", names.join(","));
             return;
@@ -331,16 +332,16 @@ impl HalWriter<'_> {
             )
         };
         text += &input_signals::format_input_nets(demand, self.hal);
-        self.connect_pin(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
-        self.connect_pin(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
-        self.connect_pin(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
+        self.write_pin_net(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
+        self.write_pin_net(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
+        self.write_pin_net(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
         let axes: Vec<&str> = (0..AXIS_NAMES.len())
             .filter(|axis| joints.iter().any(|joint| joint.axis == *axis))
             .map(|axis| AXIS_NAMES[axis])
             .collect();
         for axis in &axes {
             let signal = format!("trueup-{axis}-cmd");
-            self.connect_pin(
+            self.write_pin_net(
                 &mut text,
                 &format!("axis.{axis}.pos-cmd"),
                 &signal,
@@ -394,7 +395,7 @@ impl HalWriter<'_> {
         for (pin, ours) in [("motor-offset", "reference"), ("homing", "homing"), ("pos-cmd", "cmd")]
         {
             let signal = format!("trueup-j{n}-{ours}-in");
-            self.connect_pin(
+            self.write_pin_net(
                 text,
                 &format!("joint.{n}.{pin}"),
                 &signal,
@@ -415,13 +416,13 @@ impl HalWriter<'_> {
                     ));
                 }
             }
-            self.connect_pin(
+            self.write_pin_net(
                 text,
                 &format!("axis.{axis}.eoffset-request"),
                 &format!("trueup-{axis}-req"),
                 &[format!("{axis}-request")],
             );
-            self.connect_pin(
+            self.write_pin_net(
                 text,
                 &format!("axis.{axis}.eoffset"),
                 &format!("trueup-{axis}-eoff"),
@@ -443,7 +444,7 @@ impl HalWriter<'_> {
     }
 
     /// Connects a pin of LinuxCNC to pins of the component, by the user's signal where there is one.
-    fn connect_pin(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
+    fn write_pin_net(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
         let link = self.hal.final_link(pin);
         let signal = link.as_ref().map_or(signal, |link| link.signal.as_str());
         let to: Vec<String> = to.iter().map(|pin| format!("trueup.0.{pin}")).collect();

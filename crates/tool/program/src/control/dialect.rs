@@ -1,6 +1,6 @@
 //! How a control says a step, and what all of them have in common.
 
-use crate::{plan::Plan, probe::TouchMean};
+use crate::{plan::MeasurementPlan, probe::TouchMean};
 
 /// X, Y and Z as controls call them.
 pub(super) const AXIS_LETTERS: [char; 3] = ['X', 'Y', 'Z'];
@@ -8,10 +8,10 @@ pub(super) const AXIS_LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 /// How a control says it.
 pub(super) trait Dialect {
     /// Writes everything up to the first stop: nothing that moves, and the spindle off.
-    fn write_header(&mut self, plan: &Plan);
+    fn write_header(&mut self, plan: &MeasurementPlan);
     /// Sets the modes that the program relies on, and ends it where one cannot be set; after the first stop, as cancelling
     /// one may move an axis.
-    fn write_modes(&mut self, plan: &Plan);
+    fn write_modes(&mut self, plan: &MeasurementPlan);
     /// A line for the reader.
     fn write_comment(&mut self, text: &str);
     /// The control shows these sentences and waits for the operator.

@@ -9,7 +9,7 @@
 use super::dialect::{
     AXIS_LETTERS, ArcBlocks, Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines,
 };
-use crate::plan::Plan;
+use crate::plan::MeasurementPlan;
 
 /// The number of the main program; subprograms follow. From 8000 on programs are often locked.
 const MAIN_PROGRAM_NUMBER: usize = 7100;
@@ -81,7 +81,7 @@ impl FanucWriter {
 }
 
 impl Dialect for FanucWriter {
-    fn write_header(&mut self, plan: &Plan) {
+    fn write_header(&mut self, plan: &MeasurementPlan) {
         self.name = plan.name.clone();
         self.open.push(Program { number: MAIN_PROGRAM_NUMBER, ..Program::default() });
         for note in &plan.notes {
@@ -94,7 +94,7 @@ impl Dialect for FanucWriter {
         self.push_block("M05".into());
     }
 
-    fn write_modes(&mut self, _: &Plan) {
+    fn write_modes(&mut self, _: &MeasurementPlan) {
         let alarms = if self.moves { &MODAL_ALARMS[..] } else { &[] };
         for (n, (test, what)) in alarms.iter().enumerate() {
             self.push_block(format!("IF [{test}] THEN #3000={}({what})", n + 1));

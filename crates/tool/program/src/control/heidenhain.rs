@@ -1,7 +1,7 @@
 //! HEIDENHAIN Klartext.
 
 use super::dialect::{Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines};
-use crate::plan::Plan;
+use crate::plan::MeasurementPlan;
 
 /// A comment's width: the screen of the control.
 const MAX_COMMENT_LENGTH: usize = 70;
@@ -22,7 +22,7 @@ impl HeidenhainWriter {
 }
 
 impl Dialect for HeidenhainWriter {
-    fn write_header(&mut self, plan: &Plan) {
+    fn write_header(&mut self, plan: &MeasurementPlan) {
         self.name = plan.name.replace('-', "_").to_uppercase();
         self.push_line(format!("BEGIN PGM {} MM", self.name));
         plan.notes.iter().for_each(|note| self.write_comment(note));
@@ -31,7 +31,7 @@ impl Dialect for HeidenhainWriter {
     }
 
     // A program in MM and blocks with M91 and R0 rely on no mode.
-    fn write_modes(&mut self, _: &Plan) {}
+    fn write_modes(&mut self, _: &MeasurementPlan) {}
 
     fn write_comment(&mut self, text: &str) {
         for line in wrap_lines(&sanitise_text(text), MAX_COMMENT_LENGTH) {

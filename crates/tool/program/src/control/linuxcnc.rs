@@ -5,7 +5,7 @@ use super::dialect::{
     wrap_lines,
 };
 use crate::{
-    plan::{Plan, Step},
+    plan::{MeasurementPlan, Step},
     template,
 };
 
@@ -50,7 +50,7 @@ impl LinuxcncWriter {
 }
 
 impl Dialect for LinuxcncWriter {
-    fn write_header(&mut self, plan: &Plan) {
+    fn write_header(&mut self, plan: &MeasurementPlan) {
         self.write_comment(&plan.name);
         plan.notes.iter().for_each(|note| self.write_comment(note));
         if plan.is_lathe {
@@ -62,7 +62,7 @@ impl Dialect for LinuxcncWriter {
         self.push_line("M5".into());
     }
 
-    fn write_modes(&mut self, plan: &Plan) {
+    fn write_modes(&mut self, plan: &MeasurementPlan) {
         let has = |is: fn(&Step) -> bool| plan.steps.iter().any(is);
         let is_probed = has(|step| matches!(step, Step::Touch(_)));
         if is_probed || has(|step| matches!(step, Step::Arc(_))) {

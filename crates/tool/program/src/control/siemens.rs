@@ -3,7 +3,7 @@
 use super::dialect::{
     AXIS_LETTERS, ArcBlocks, Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines,
 };
-use crate::plan::{Plan, Step};
+use crate::plan::{MeasurementPlan, Step};
 
 /// A comment's width: the screen of the editor.
 const MAX_COMMENT_LENGTH: usize = 100;
@@ -27,7 +27,7 @@ impl SiemensWriter {
 }
 
 impl Dialect for SiemensWriter {
-    fn write_header(&mut self, plan: &Plan) {
+    fn write_header(&mut self, plan: &MeasurementPlan) {
         self.push_line(format!("%_N_{}_MPF", plan.name.replace('-', "_").to_uppercase()));
         self.push_line(";$PATH=/_N_MPF_DIR".into());
         plan.notes.iter().for_each(|note| self.write_comment(note));
@@ -40,7 +40,7 @@ impl Dialect for SiemensWriter {
         self.push_line("M5".into());
     }
 
-    fn write_modes(&mut self, plan: &Plan) {
+    fn write_modes(&mut self, plan: &MeasurementPlan) {
         self.push_line("TRAFOOF".into());
         let plane = if plan.is_lathe { "DIAMON G18" } else { "G17" };
         self.push_line(format!("{plane} G710 G40 G90 G94 G97 G60 G500 D0"));

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use trueup_machine::{Machine, MachineFile, file::LinearAxis};
-use trueup_program::{MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan};
+use trueup_machine::{Machine, MachineFile, machine_file::LinearAxis};
+use trueup_program::{MeasurementKind, MeasurementOptions, MeasurementPlan, MeasuringInstrument};
 
 /// A machine and what is asked for.
 #[derive(Debug)]
@@ -73,7 +73,12 @@ impl Draw {
     }
 
     /// Nothing is left out that could be written, and what is left out is reported.
-    pub fn is_named_what_is_not_written(&self, kind: MeasurementKind, plans: &[Plan], notes: &str) {
+    pub fn is_named_what_is_not_written(
+        &self,
+        kind: MeasurementKind,
+        plans: &[MeasurementPlan],
+        notes: &str,
+    ) {
         if matches!(
             kind,
             MeasurementKind::Warmup

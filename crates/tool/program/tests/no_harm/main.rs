@@ -17,9 +17,9 @@ mod walk;
 
 use draw::{Draw, Draws};
 use event::Event;
-use trueup_machine::file::LinearAxis;
+use trueup_machine::machine_file::LinearAxis;
 use trueup_program::{
-    Control, MeasurementKind, Plan, SpeedSegment, TargetRun, control::generate_program,
+    Control, MeasurementKind, MeasurementPlan, SpeedSegment, TargetRun, control::generate_program,
     create_plans, plan::Step, plan_speed_run, plan_target_run,
 };
 use walk::{Limits, walk};
@@ -48,7 +48,7 @@ fn read(control: Control, text: &str) -> Result<Vec<Event>, String> {
 }
 
 /// Walks the programs of a plan for all controls.
-fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
+fn check(plan: &MeasurementPlan, axes: &[LinearAxis], draw: &Draw) {
     for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens, Control::Heidenhain] {
         let has = |is: fn(&Step) -> bool| plan.steps.iter().any(is);
         let has_no_words = match control {
@@ -72,7 +72,7 @@ fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
 }
 
 /// Returns the axes that a plan's name names.
-fn named(plan: &Plan) -> Vec<LinearAxis> {
+fn named(plan: &MeasurementPlan) -> Vec<LinearAxis> {
     let last = plan.name.rsplit('-').next().unwrap_or_default();
     let is_axes = ["x", "y", "z", "xy", "xz", "zx", "yz", "xyz"].contains(&last);
     let all = LinearAxis::ALL.into_iter();
@@ -193,7 +193,7 @@ fn no_next_run_is_a_danger() {
 }
 
 /// The programs of the controls are no danger, and each of these changes to one is seen.
-fn assert_each_is_seen(plan: &Plan, limits: &Limits, dangers: &[(Control, &str, &str)]) {
+fn assert_each_is_seen(plan: &MeasurementPlan, limits: &Limits, dangers: &[(Control, &str, &str)]) {
     let walked =
         |control, text: &str| read(control, text).and_then(|events| walk(&events, limits, plan));
     for (control, from, to) in dangers {

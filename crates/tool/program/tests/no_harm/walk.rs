@@ -1,8 +1,8 @@
 //! A machine that stands somewhere, in modes that an earlier program left, and the rules for each thing that it is
 //! made to do.
 
-use trueup_machine::file::LinearAxis;
-use trueup_program::Plan;
+use trueup_machine::machine_file::LinearAxis;
+use trueup_program::MeasurementPlan;
 
 use crate::{
     draw::Draw,
@@ -64,7 +64,7 @@ struct State {
 }
 
 /// Follows all events. Fails with the first danger.
-pub fn walk(events: &[Event], limits: &Limits, plan: &Plan) -> Result<(), String> {
+pub fn walk(events: &[Event], limits: &Limits, plan: &MeasurementPlan) -> Result<(), String> {
     let mut state = State::default();
     for (n, event) in events.iter().enumerate() {
         state.step(event, limits).map_err(|why| format!("event {n}, {event:?}: {why}"))?;
@@ -255,7 +255,7 @@ impl State {
         self.go(&to, feed, limits)
     }
 
-    fn end(&self, limits: &Limits, plan: &Plan) -> Result<(), String> {
+    fn end(&self, limits: &Limits, plan: &MeasurementPlan) -> Result<(), String> {
         if !self.is_ended || self.is_turning {
             return Err("it does not end, or the spindle turns on".into());
         }
@@ -300,7 +300,7 @@ impl State {
     }
 
     /// The readings of the plan are among the dwells, in their order and at their places.
-    fn is_read_at_the_stated_place(&self, plan: &Plan) -> Result<(), String> {
+    fn is_read_at_the_stated_place(&self, plan: &MeasurementPlan) -> Result<(), String> {
         let mut dwells = self.readings.iter();
         let is_there = |stood: &[Option<f64>; 3], expected: &[Option<f64>; 3]| {
             let alike = |n: usize| match (stood[n], expected[n]) {
@@ -322,7 +322,7 @@ impl State {
     }
 
     /// The rows that the control writes are those of the run file, with the measured ones in the empty cells.
-    fn are_rows_of(&self, plan: &Plan) -> Result<(), String> {
+    fn are_rows_of(&self, plan: &MeasurementPlan) -> Result<(), String> {
         let text = trueup_program::template::run_file_templates(plan).remove(0).1;
         let mut lines = text.lines().skip_while(|line| line.starts_with('#'));
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();

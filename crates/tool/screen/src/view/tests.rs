@@ -4,21 +4,21 @@ use ratatui::{Terminal, backend::TestBackend, style::Color};
 use trueup_core::{
     bridge::TickInput,
     cnc::Control,
-    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
-    thermometer::RawReading,
+    design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT},
+    thermometer::RawTemperatureReading,
     units::{AdcCode, Rpm},
 };
 use trueup_link::frames;
-use trueup_machine::{MachineFile, compile, file::Quantity};
+use trueup_machine::{MachineFile, compile, machine_file::Quantity};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface as NodeLine, Node},
 };
 
 use super::*;
 use crate::{
     compensation_model::CompensationModel,
-    state::{Action, ModelSource, PressedKey},
+    state::{ModelSource, PressedKey, ScreenAction},
 };
 
 /// A spindle whose sensor has a thermometer of its own, and which heats X.
@@ -34,15 +34,15 @@ fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let compiled = compile(&machine).expect("it fits");
     let blob = compiled.blob();
-    let mut node = Node::new(Configuration { blob, ..compiled.calibration().into() });
+    let mut node = Node::new(NodeConfiguration { blob, ..compiled.calibration().into() });
     let mut state = ScreenState::new("tcp:bridge:3333", Quantity::Elongation, false);
     state.link = LinkState::Up;
     state.laws = Some(CompensationModel::from_machine(machine));
     state.source = ModelSource::File("m.toml".into());
     let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(code + (n % 2) as u16));
-    let mut temperatures = [RawReading::NONE; CHANNEL_COUNT];
+    let mut temperatures = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
     // A PT100 at 30 °C: 100·(1 + 3.9083·10⁻³·30 − 5.775·10⁻⁷·30²) Ω.
-    temperatures[0] = RawReading(111_672_925);
+    temperatures[0] = RawTemperatureReading(111_672_925);
     for now in 0..ms {
         if now % 20 == 0 {
             let control = Control { engage: engage && now >= 60, ..Control::REFERENCED };
@@ -54,7 +54,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
             speed: Some(Rpm(24_000)),
             temperatures: Some(&temperatures),
         };
-        for frame in node.tick(1, input).into_iter().chain(node.service()) {
+        for frame in node.tick(1, input).into_iter().chain(node.next_service_frame()) {
             state.receive(&frame, f64::from(now) / 1_000.0);
         }
         if now % 200 == 199 {
@@ -263,7 +263,7 @@ fn readings_stand_in_the_trend_and_the_last_is_undone() {
     let (text, _) = screen(&state, (80, 30), false);
     // 4 s of record: the axis is 10 s long.
     has(&text, &["growth, µm, the last 10 s; • gauge", "-10 s", "-5 s", "now", "•", "+15.00"]);
-    assert_eq!(state.handle_key(PressedKey::Char('u')), Some(Action::Unmark));
+    assert_eq!(state.handle_key(PressedKey::Char('u')), Some(ScreenAction::Unmark));
     state.undo_gauge_reading();
     state.set_recording_counts(1, 40);
     let (text, _) = screen(&state, (80, 30), false);
@@ -295,7 +295,7 @@ fn keys_record_mark_turn_the_trend_and_help() {
     let mut state = watched(4_000, 731, true);
     assert_eq!(state.handle_key(PressedKey::Char('g')), None);
     has(&screen(&state, (80, 24), false).0, &["press r first"]);
-    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(Action::Record));
+    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(ScreenAction::Record));
     state.recording = Some("bridge-1".into());
     assert_eq!(state.handle_key(PressedKey::Char('g')), None);
     // In half of Europe the point is a comma.
@@ -304,14 +304,14 @@ fn keys_record_mark_turn_the_trend_and_help() {
     }
     has(&screen(&state, (80, 24), false).0, &["measured elongation in µm: -3.51_"]);
     assert_eq!(state.handle_key(PressedKey::Backspace), None);
-    assert_eq!(state.handle_key(PressedKey::Enter), Some(Action::Mark(-3.5)));
+    assert_eq!(state.handle_key(PressedKey::Enter), Some(ScreenAction::Mark(-3.5)));
     // q is not quit while a number is typed.
     state.handle_key(PressedKey::Char('g'));
     assert_eq!(state.handle_key(PressedKey::Char('q')), None);
     assert_eq!(state.handle_key(PressedKey::Enter), None, "nothing was typed");
     has(&screen(&state, (80, 24), false).0, &["in µm: _   type the reading in µm, such as -3.5"]);
     assert_eq!(state.handle_key(PressedKey::Escape), None);
-    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(Action::EndRecording));
+    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(ScreenAction::EndRecording));
 
     has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
     state.handle_key(PressedKey::Char('t'));
@@ -329,8 +329,8 @@ fn keys_record_mark_turn_the_trend_and_help() {
         None,
         "nor does it end a recording, once too often pressed"
     );
-    assert_eq!(state.handle_key(PressedKey::Char('q')), Some(Action::Quit));
-    assert_eq!(state.handle_key(PressedKey::Interrupt), Some(Action::Quit));
+    assert_eq!(state.handle_key(PressedKey::Char('q')), Some(ScreenAction::Quit));
+    assert_eq!(state.handle_key(PressedKey::Interrupt), Some(ScreenAction::Quit));
 }
 
 #[test]
@@ -338,12 +338,12 @@ fn a_gauge_that_speaks_is_written_down_at_once_and_an_old_reading_never() {
     let mut state = watched(4_000, 731, true);
     (state.gauge.is_live, state.recording) = (true, Some("there".into()));
     assert_eq!(state.handle_gauge_reading(Ok(-2.5), 4.0), None);
-    assert_eq!(state.handle_key(PressedKey::Char('g')), Some(Action::Mark(-2.5)));
+    assert_eq!(state.handle_key(PressedKey::Char('g')), Some(ScreenAction::Mark(-2.5)));
     has(&screen(&state, (80, 24), false).0, &["gauge elongation -2.50 µm"]);
     state.record_trend_sample(9.0);
     assert_eq!(state.handle_key(PressedKey::Char('g')), None, "it is five seconds old");
     has(&screen(&state, (80, 24), false).0, &["or press its button", "(5 s ago)"]);
-    assert_eq!(state.handle_gauge_reading(Ok(-2.75), 10.0), Some(Action::Mark(-2.75)));
+    assert_eq!(state.handle_gauge_reading(Ok(-2.75), 10.0), Some(ScreenAction::Mark(-2.75)));
     assert_eq!(state.handle_gauge_reading(Err("indicator: gone".into()), 11.0), None);
     has(&screen(&state, (80, 24), false).0, &["indicator: gone"]);
 }

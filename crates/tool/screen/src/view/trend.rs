@@ -9,7 +9,7 @@ use ratatui::{
     widgets::{Axis, Block, Borders, Chart, Dataset, GraphType},
 };
 
-use trueup_machine::file::Quantity;
+use trueup_machine::machine_file::Quantity;
 
 use super::Theme;
 use crate::{
@@ -19,11 +19,11 @@ use crate::{
 };
 
 /// The least height of the drawn range: below it there is only noise, in µm or °C.
-const MIN_VALUE_RANGE: f64 = 0.5;
+const MIN_PLOTTED_VALUE_RANGE: f64 = 0.5;
 /// The least height with a row for the ticks of the time.
 const MIN_HEIGHT_FOR_TICKS: u16 = 5;
 /// The least length of the drawn time, in s.
-const MIN_TIME_RANGE_S: f64 = 10.0;
+const MIN_PLOTTED_TIME_RANGE_S: f64 = 10.0;
 
 /// Draws it.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme) {
@@ -41,9 +41,10 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), value| (a.min(value), b.max(value)));
     let (least, most) =
         if points.is_empty() && marks.is_empty() { (0.0, 0.0) } else { (least, most) };
-    let spare = ((MIN_VALUE_RANGE - (most - least)) / 2.0).max(0.0);
+    let spare = ((MIN_PLOTTED_VALUE_RANGE - (most - least)) / 2.0).max(0.0);
     let bounds = [least - spare, most + spare];
-    let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_TIME_RANGE_S, TREND_WINDOW_S);
+    let begin =
+        points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_PLOTTED_TIME_RANGE_S, TREND_WINDOW_S);
     let (name, unit) = series_label(state);
     let mut title = format!("{name}, {unit}, the last {}", format_duration(begin));
     if state.series == DIFFERENCE_SERIES_INDEX

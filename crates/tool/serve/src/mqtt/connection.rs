@@ -13,7 +13,7 @@ use rumqttc::{Client, Event, LastWill, MqttOptions, Outgoing, Packet, Publish, Q
 use crate::{broker::BrokerConfig, sparkplug::node::MqttMessage, spool::segment::SpoolRecord};
 
 /// A broker that is silent for one and a half of these is given up, and gives this publisher up.
-const KEEP_ALIVE: Duration = Duration::from_secs(5);
+const MQTT_KEEP_ALIVE_PERIOD: Duration = Duration::from_secs(5);
 /// A broker may take so long to accept a connection, or what is sent, in s.
 const NETWORK_TIMEOUT_S: u64 = 15;
 /// Requests that the library takes before it has sent them.
@@ -37,24 +37,27 @@ pub enum ConnectionEvent {
     /// The broker has acknowledged the packet.
     Acknowledged(u16),
     /// A message came.
-    Came(Publish),
+    MessageReceived(Publish),
     /// It is over; why.
     Ended(String),
 }
 
 /// A connection, from its beginning to its end.
-pub(crate) struct Connection {
+pub(crate) struct MqttConnection {
     client: Client,
     events: Receiver<Result<Event, String>>,
     /// The records among the requests that the library has not sent; it sends them in order.
     requested: VecDeque<Option<u64>>,
 }
 
-impl Connection {
+impl MqttConnection {
     /// Begins a connection.
     pub fn open(broker: &BrokerConfig, id: &str, will: &MqttMessage) -> Self {
         let mut options = MqttOptions::new(id, broker.host.as_str(), broker.port);
-        options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_inflight(MAX_INFLIGHT);
+        options
+            .set_keep_alive(MQTT_KEEP_ALIVE_PERIOD)
+            .set_clean_session(true)
+            .set_inflight(MAX_INFLIGHT);
         options.set_transport(broker.transport());
         let [incoming, outgoing] = MAX_PACKET_BYTES;
         options.set_max_packet_size(incoming, outgoing);
@@ -98,7 +101,9 @@ impl Connection {
             Ok(Event::Incoming(Packet::PubAck(ack))) => {
                 Some(ConnectionEvent::Acknowledged(ack.pkid))
             }
-            Ok(Event::Incoming(Packet::Publish(message))) => Some(ConnectionEvent::Came(message)),
+            Ok(Event::Incoming(Packet::Publish(message))) => {
+                Some(ConnectionEvent::MessageReceived(message))
+            }
             Ok(Event::Outgoing(Outgoing::Publish(id))) => {
                 let number = self.requested.pop_front().flatten()?;
                 Some(ConnectionEvent::Sent { id, number })

@@ -16,7 +16,7 @@ use std::{
 use super::shdr::ShdrEncoder;
 use crate::{
     clock,
-    shared::SharedState,
+    shared_state::SharedState,
     snapshot::{BridgeEvent, BridgeSnapshot},
 };
 
@@ -35,21 +35,21 @@ const ACCEPT_POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// All agents.
 #[derive(Clone, Default)]
-pub struct Adapter(Arc<Mutex<AdapterState>>);
+pub struct MtconnectAdapter(Arc<Mutex<AdapterState>>);
 
 #[derive(Default)]
 struct AdapterState {
     lines: ShdrEncoder,
-    agents: Vec<Agent>,
+    agents: Vec<MtconnectAgent>,
 }
 
 /// An agent that is connected.
-struct Agent {
+struct MtconnectAgent {
     queue: SyncSender<Arc<str>>,
     stream: Arc<TcpStream>,
 }
 
-impl Adapter {
+impl MtconnectAdapter {
     fn lock_state(&self) -> MutexGuard<'_, AdapterState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -82,7 +82,7 @@ impl Adapter {
         let mut state = self.lock_state();
         // Under one lock with the changes, so that none is missed between them.
         sender.try_send(state.lines.encode_all(clock::now_ms()).into()).ok();
-        state.agents.push(Agent { queue: sender.clone(), stream });
+        state.agents.push(MtconnectAgent { queue: sender.clone(), stream });
         (sender, receiver)
     }
 
@@ -122,7 +122,7 @@ impl Adapter {
 }
 
 /// Talks with an agent until either leaves.
-fn serve_agent(adapter: &Adapter, stream: TcpStream) -> io::Result<()> {
+fn serve_agent(adapter: &MtconnectAdapter, stream: TcpStream) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(AGENT_WRITE_TIMEOUT))?;

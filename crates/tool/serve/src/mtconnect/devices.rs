@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_core::dimensions::CHANNEL_COUNT;
+use trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
 
 use crate::snapshot::BridgeIdentity;
 
@@ -75,7 +75,7 @@ fn device_xml(name: &str, bridge: &BridgeIdentity, number: usize, count: usize) 
     let items = data_item_xml(16, &format!("{id}_elongation"), "SAMPLE", "DISPLACEMENT", mm);
     text += &component_xml("Rotary", 12, &format!("{id}_s"), "S", &items);
     text += "          </Components>\n        </Axes>\n";
-    let items: String = (0..CHANNEL_COUNT)
+    let items: String = (0..TEMPERATURE_CHANNEL_COUNT)
         .map(|channel| {
             let id = format!("{id}_temperature_{channel}");
             data_item_xml(12, &id, "SAMPLE", "TEMPERATURE", " units=\"CELSIUS\"")

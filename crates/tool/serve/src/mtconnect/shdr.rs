@@ -19,11 +19,11 @@ const MAX_TEXT_CHARS: usize = 200;
 #[derive(Clone, Debug, Default, PartialEq)]
 struct PublishedState {
     values: Vec<(String, String)>,
-    conditions: Vec<Condition>,
+    conditions: Vec<ShdrCondition>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Condition {
+struct ShdrCondition {
     key: String,
     level: &'static str,
     /// Active codes with their texts; `None`: not known.
@@ -49,7 +49,7 @@ impl ShdrEncoder {
         let now: Vec<PublishedState> = bridges
             .iter()
             .zip(1..)
-            .map(|(bridge, number)| published_state(bridge, number))
+            .map(|(bridge, number)| build_published_state(bridge, number))
             .collect();
         self.known.resize_with(now.len(), PublishedState::default);
         for (before, now) in self.known.iter().zip(&now) {
@@ -93,11 +93,15 @@ fn encode_values<'a>(stamp: &str, values: impl Iterator<Item = &'a (String, Stri
 }
 
 /// Returns the lines that bring a condition from `before` to `now`.
-fn encode_condition_change(stamp: &str, before: Option<&Condition>, now: &Condition) -> String {
+fn encode_condition_change(
+    stamp: &str,
+    before: Option<&ShdrCondition>,
+    now: &ShdrCondition,
+) -> String {
     if before == Some(now) {
         return String::new();
     }
-    let Condition { key, level, codes } = now;
+    let ShdrCondition { key, level, codes } = now;
     let none = Vec::new();
     match codes {
         None => format!("{stamp}|{key}|{UNAVAILABLE}||||\n"),
@@ -114,7 +118,7 @@ fn encode_condition_change(stamp: &str, before: Option<&Condition>, now: &Condit
     }
 }
 
-fn published_state(of: &BridgeSnapshot, number: usize) -> PublishedState {
+fn build_published_state(of: &BridgeSnapshot, number: usize) -> PublishedState {
     let key = |name: &str| format!("b{number}_{name}");
     let shown = |value: Option<f64>, decimals: usize| {
         value.map_or(UNAVAILABLE.into(), |value| format!("{value:.decimals$}"))
@@ -140,7 +144,7 @@ fn published_state(of: &BridgeSnapshot, number: usize) -> PublishedState {
     let why = of.why.as_deref().unwrap_or(NO_OFFSETS_REASON);
     let line =
         if of.is_up { Vec::new() } else { vec![("bridge-down".into(), sanitise_field(why))] };
-    let condition = |name, level, codes| Condition { key: key(name), level, codes };
+    let condition = |name, level, codes| ShdrCondition { key: key(name), level, codes };
     let conditions = vec![
         condition("faults", "FAULT", words(&of.faults)),
         condition("state", "WARNING", words(&of.state)),

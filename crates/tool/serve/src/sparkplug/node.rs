@@ -48,12 +48,12 @@ pub struct EdgeNode {
     bd_seq: u8,
     /// The last published metrics of the node itself.
     own: Option<Vec<Metric>>,
-    devices: Vec<Device>,
+    devices: Vec<SparkplugDevice>,
 }
 
 /// A device, once it was born.
 #[derive(Default)]
-struct Device {
+struct SparkplugDevice {
     /// Its identifier; `None`: it is not there.
     id: Option<String>,
     /// Its last published metrics.
@@ -93,7 +93,7 @@ impl EdgeNode {
         self.devices.clear();
     }
 
-    fn bd_seq_metric(&self, time_ms: u64) -> payload::Metric {
+    fn build_bd_seq_metric(&self, time_ms: u64) -> payload::Metric {
         let mut number = payload::Metric::new();
         number.set_name(BD_SEQ_METRIC.into()).set_datatype(DataType::Int64).set_timestamp(time_ms);
         number.set_value(metric::Value::LongValue(self.bd_seq.into()));
@@ -102,8 +102,8 @@ impl EdgeNode {
 
     /// Returns the will of the connection, and the message before it is ended on purpose.
     #[must_use]
-    pub(crate) fn death_message(&self, time_ms: u64) -> MqttMessage {
-        let metrics = vec![self.bd_seq_metric(time_ms)];
+    pub(crate) fn build_death_message(&self, time_ms: u64) -> MqttMessage {
+        let metrics = vec![self.build_bd_seq_metric(time_ms)];
         self.message("NDEATH", None, encode_payload(metrics, time_ms, None, None))
     }
 
@@ -111,7 +111,7 @@ impl EdgeNode {
         MqttMessage { topic: topic(kind, &self.name, device), payload, is_retained: false }
     }
 
-    fn sequenced_message(
+    fn build_sequenced_message(
         &mut self,
         kind: &str,
         device: Option<&str>,
@@ -144,18 +144,18 @@ impl EdgeNode {
         let mut messages = Vec::new();
         let metrics = self.node_metrics(own);
         match self.own.take() {
-            None => messages.push(self.birth_message(&metrics, time_ms)),
+            None => messages.push(self.build_birth_message(&metrics, time_ms)),
             Some(previous) => {
                 let changed = changed_metrics(&previous, &metrics, 1, time_ms);
                 if !changed.is_empty() {
-                    messages.push(self.sequenced_message("NDATA", None, changed, time_ms));
+                    messages.push(self.build_sequenced_message("NDATA", None, changed, time_ms));
                 }
             }
         }
         self.own = Some(metrics);
-        self.devices.resize_with(bridges.len(), Device::default);
+        self.devices.resize_with(bridges.len(), SparkplugDevice::default);
         for (place, bridge) in bridges.iter().enumerate() {
-            self.update_device(place, bridge, time_ms, &mut messages);
+            self.append_device_messages(place, bridge, time_ms, &mut messages);
         }
         messages
     }
@@ -192,19 +192,19 @@ impl EdgeNode {
         ]
     }
 
-    fn birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> MqttMessage {
+    fn build_birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> MqttMessage {
         self.seq = 0;
-        let mut all = vec![self.bd_seq_metric(time_ms)];
+        let mut all = vec![self.build_bd_seq_metric(time_ms)];
         all.extend(metrics.iter().zip(1..).map(|(declared, alias)| {
             let mut metric = birth_metric(declared, alias, time_ms);
             // In Sparkplug a host requests it by its name.
             metric.alias = metric.alias.filter(|_| declared.name != REBIRTH_METRIC);
             metric
         }));
-        self.sequenced_message("NBIRTH", None, all, time_ms)
+        self.build_sequenced_message("NBIRTH", None, all, time_ms)
     }
 
-    fn update_device(
+    fn append_device_messages(
         &mut self,
         place: usize,
         of: &BridgeSnapshot,
@@ -212,14 +212,20 @@ impl EdgeNode {
         messages: &mut Vec<MqttMessage>,
     ) {
         let Some(known) = self.devices.get_mut(place) else { return };
-        let Device { id: old, metrics: reported } = std::mem::take(known);
+        let SparkplugDevice { id: old, metrics: reported } = std::mem::take(known);
         let id = of.identity.serial.filter(|_| of.is_up).map(device_id);
         let first = ALIASES_PER_DEVICE * (place as u64 + 1);
         let now = bridge_metrics(of);
         if old.is_some() && old != id {
-            messages.push(self.sequenced_message("DDEATH", old.as_deref(), Vec::new(), time_ms));
+            messages.push(self.build_sequenced_message(
+                "DDEATH",
+                old.as_deref(),
+                Vec::new(),
+                time_ms,
+            ));
             messages.extend(
-                old.as_deref().map(|before| self.retained_state_message(before, &now, time_ms)),
+                old.as_deref()
+                    .map(|before| self.build_retained_state_message(before, &now, time_ms)),
             );
         }
         if let Some(id) = &id {
@@ -233,17 +239,22 @@ impl EdgeNode {
                 )
             };
             if !metrics.is_empty() {
-                messages.push(self.sequenced_message(kind, Some(id), metrics, time_ms));
-                messages.push(self.retained_state_message(id, &now, time_ms));
+                messages.push(self.build_sequenced_message(kind, Some(id), metrics, time_ms));
+                messages.push(self.build_retained_state_message(id, &now, time_ms));
             }
         }
         if let Some(known) = self.devices.get_mut(place) {
-            *known = Device { id, metrics: now };
+            *known = SparkplugDevice { id, metrics: now };
         }
     }
 
     /// Returns the whole state of a device, for those who subscribe later and are no Sparkplug host.
-    fn retained_state_message(&self, id: &str, metrics: &[Metric], time_ms: u64) -> MqttMessage {
+    fn build_retained_state_message(
+        &self,
+        id: &str,
+        metrics: &[Metric],
+        time_ms: u64,
+    ) -> MqttMessage {
         let metrics = metrics
             .iter()
             .map(|metric| named_metric(metric.name, &metric.value, time_ms))

@@ -83,7 +83,7 @@ impl SpoolReport {
         Self::Unreadable { file: file.into(), number, time_ms, why: why.map(io::Error::to_string) }
     }
 
-    pub(super) fn file_unreadable(file: &Path, why: &io::Error) -> Self {
+    pub(super) fn unreadable_file(file: &Path, why: &io::Error) -> Self {
         Self::Unread { file: file.into(), why: why.to_string() }
     }
 

@@ -24,8 +24,8 @@ fn fill(spool: &mut Spool, numbers: std::ops::Range<u32>) {
 
 /// Returns the texts of all that is to be sent.
 fn texts(spool: &mut Spool) -> Vec<String> {
-    let payloads =
-        std::iter::from_fn(|| spool.next_to_send(Instant::now())).map(|message| message.payload);
+    let payloads = std::iter::from_fn(|| spool.next_unsent_record(Instant::now()))
+        .map(|message| message.payload);
     payloads.map(|payload| String::from_utf8(payload).expect("text")).collect()
 }
 
@@ -87,7 +87,7 @@ fn acknowledgements_in_another_order_settle_nothing_that_is_open() {
     let mut spool = open(&folder);
     assert_eq!(files(&folder), [""; 0].map(PathBuf::from));
     fill(&mut spool, 4..5);
-    assert_eq!(spool.next_to_send(Instant::now()).expect("the new one").number, 5);
+    assert_eq!(spool.next_unsent_record(Instant::now()).expect("the new one").number, 5);
 }
 
 #[test]
@@ -185,8 +185,8 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     };
     let now = Instant::now();
     hide();
-    assert_eq!(spool.next_to_send(now), None);
-    assert_eq!(spool.next_to_send(now + READ_RETRY_TIME / 2), None);
+    assert_eq!(spool.next_unsent_record(now), None);
+    assert_eq!(spool.next_unsent_record(now + READ_RETRY_TIMEOUT / 2), None);
     let reports = spool.take_reports();
     assert_eq!((reports.len(), reports[0].lost_record_count()), (1, 0), "{reports:?}");
     assert!(reports[0].to_string().contains("it is tried again"), "{}", reports[0]);
@@ -195,8 +195,8 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     // One that stays so is given up, and what is written then is sent.
     spool.rewind();
     hide();
-    assert_eq!(spool.next_to_send(now), None);
-    assert_eq!(spool.next_to_send(now + READ_RETRY_TIME), None);
+    assert_eq!(spool.next_unsent_record(now), None);
+    assert_eq!(spool.next_unsent_record(now + READ_RETRY_TIMEOUT), None);
     let lost: u64 = spool.take_reports().iter().map(SpoolReport::lost_record_count).sum();
     assert_eq!((lost, spool.unacknowledged_count()), (3, 0));
     show();
@@ -205,7 +205,7 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     assert_eq!(numbers_of(&texts(&mut spool)), [3]);
     drop(spool.active.take());
     spool.acknowledge(4, now);
-    spool.settle(now + READ_RETRY_TIME + RETENTION_TIME);
+    spool.settle(now + READ_RETRY_TIMEOUT + RETENTION_TIME);
     assert!(files(&folder).is_empty());
     let stored =
         fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));

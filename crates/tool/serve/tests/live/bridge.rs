@@ -16,13 +16,13 @@ use std::{
 use trueup_core::{
     bridge::TickInput,
     cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     units::{AdcCode, Position, Rpm},
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_REQUEST_ID, slcan::Port};
 use trueup_machine::{MachineFile, compile};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::calibration::decode;
@@ -55,7 +55,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the project's own");
     let blob: &'static [u8] = Box::leak(compile(&machine).expect("it fits").blob().into());
     let calibration = decode(blob).expect("a calibration");
-    let mut node = Node::new(Configuration { blob, ..calibration.into() });
+    let mut node = Node::new(NodeConfiguration { blob, ..calibration.into() });
     let mut port = Port::new(1);
     let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(727 + (n % 2) as u16));
     let (start, mut control, mut client) = (Instant::now(), 0_u32, None::<TcpStream>);
@@ -106,7 +106,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
         }
         let speed = Some(Rpm(24_000));
         let sent = node.tick(1, TickInput { codes: Some(&codes), speed, ..TickInput::default() });
-        for frame in sent.into_iter().chain(node.service()) {
+        for frame in sent.into_iter().chain(node.next_service_frame()) {
             port.send(&frame);
         }
         let waiting: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();

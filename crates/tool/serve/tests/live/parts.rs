@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use trueup_client::port::Port;
+use trueup_client::port::PortAddress;
 use trueup_emulator::setup;
 use trueup_serve::{
     broker::{self, TlsFiles},
@@ -265,7 +265,7 @@ fn publisher() -> Result<()> {
     };
     let mtconnect = word(&more["mtconnect"]).map(|text| text.parse()).transpose()?;
     let bridges = word(&start["bridge"]).context("a bridge")?;
-    let ports: Result<Vec<Port>, _> = bridges.split(',').map(Port::parse).collect();
+    let ports: Result<Vec<PortAddress>, _> = bridges.split(',').map(PortAddress::parse).collect();
     let options = PublisherOptions {
         ports: ports?,
         name: word(&start["name"]).context("a name")?,

@@ -24,7 +24,7 @@ use trueup_link::{
     frame::Frame,
     frames,
     layout::SDO_RESPONSE_ID,
-    slcan::Event,
+    slcan::AdapterMessage,
     status::{StateBits, Status, StatusItem, encode},
 };
 use trueup_serve::{
@@ -32,9 +32,9 @@ use trueup_serve::{
     broker::{self, TlsFiles},
     clock,
     mqtt::{self, MqttPublisherConfig},
-    mtconnect::adapter::Adapter,
+    mtconnect::adapter::MtconnectAdapter,
     recorder::Recorder,
-    shared::SharedState,
+    shared_state::SharedState,
     sparkplug::node::EdgeNode,
     spool::Spool,
 };
@@ -55,7 +55,7 @@ const SAID: Duration = Duration::from_millis(250);
 /// Lets a bridge say its offset and a part of its status, and answer what it was asked.
 fn speak(bridge: &mut BridgeMonitor, place: usize, turn: usize, now: Instant) {
     let deliver = |bridge: &mut BridgeMonitor, frame: Frame| {
-        bridge.receive(ConnectionEvent::Received(Event::Frame(frame)), now);
+        bridge.receive(ConnectionEvent::Received(AdapterMessage::Frame(frame)), now);
     };
     let nm = ((place + turn) % 1_000) as i32 * 10;
     let offset = Some([nm, -nm, 2 * nm].map(Nanometres));
@@ -155,7 +155,7 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
         let mut node = EdgeNode::new("shop", "me", "0.0.0", 0);
         mqtt::run(&publishing, &publisher, &mut node);
     });
-    let adapter = Adapter::default();
+    let adapter = MtconnectAdapter::default();
     let mut recorder = Recorder::new("shop", Duration::from_secs(1), true, now, clock::now_ms());
     let (mut begun, mut longest) = (None, Duration::ZERO);
     while now.elapsed() < MEASURED + Duration::from_secs(15) {

@@ -20,12 +20,12 @@ fn with_sensor() -> Machine {
     )
 }
 
-fn replay_on(machine: &Machine, text: &str) -> Result<Replay, InputFileError> {
+fn replay_on(machine: &Machine, text: &str) -> Result<RunReplay, InputFileError> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"))?;
-    Replay::new(&run, machine, DEFAULT_ROW_DURATION_S)
+    RunReplay::new(&run, machine, DEFAULT_ROW_DURATION_S)
 }
 
-fn replay(text: &str) -> Result<Replay, InputFileError> {
+fn replay(text: &str) -> Result<RunReplay, InputFileError> {
     replay_on(&with_sensor(), text)
 }
 
@@ -76,14 +76,18 @@ fn temperatures_come_as_their_channels_deliver_them() {
     let delivered = |time| replay.snapshot_at(time).temperatures;
     // IEC 60751: 109.734656 ohms at 25 °C; 4000 + 16·23.5 counts in 1/256.
     assert!((delivered(0.0)[2].0 - 109_734_656).abs() <= 1);
-    assert_eq!(delivered(0.0)[5], RawReading(4376 * 256));
-    assert_eq!(delivered(1.0)[5], RawReading(4392 * 256));
-    assert_eq!(delivered(0.25)[5], RawReading(4380 * 256), "between two rows by a straight line");
-    assert_eq!(delivered(9.0)[5], RawReading(4392 * 256), "the last row is held");
+    assert_eq!(delivered(0.0)[5], RawTemperatureReading(4376 * 256));
+    assert_eq!(delivered(1.0)[5], RawTemperatureReading(4392 * 256));
+    assert_eq!(
+        delivered(0.25)[5],
+        RawTemperatureReading(4380 * 256),
+        "between two rows by a straight line"
+    );
+    assert_eq!(delivered(9.0)[5], RawTemperatureReading(4392 * 256), "the last row is held");
     assert_eq!(delivered(1.0)[2], delivered(0.0)[2], "a missing value keeps the one before");
-    assert_eq!(delivered(0.0)[0], RawReading::NONE);
+    assert_eq!(delivered(0.0)[0], RawTemperatureReading::NONE);
     assert_eq!(replay.snapshot_at(0.0).sensor_volts, 0.0);
-    let uses = |name| Replay::uses_column(&without_sensor(), name);
+    let uses = |name| RunReplay::uses_column(&without_sensor(), name);
     assert!(uses("temp_screw_c") && uses("a_deg") && uses("dir_x"));
     assert!(!uses("temp_else_c") && !uses("b_deg") && !uses("sensor_counts"));
 }

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use trueup_campaigns::hidden_effects::{HiddenCause, draw};
-use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
+use trueup_machine::{Machine, MachineFile, RunFile, machine_file::Quantity};
 use trueup_measured_data::find_measured_file as measured;
 
 use super::*;

@@ -2,7 +2,7 @@
 //! that they are.
 
 use trueup_page::{
-    Chart, ChartSeries, ColourRole, HtmlTable, Page, Provenance, format_micrometres,
+    Chart, ChartSeries, ColourRole, HtmlPage, HtmlTable, Provenance, format_micrometres,
 };
 
 use super::{CurveMethod, MethodResult, MethodTable, MethodTableEntry};
@@ -15,7 +15,7 @@ const PLOTTED_METHODS: [(CurveMethod, ColourRole); 3] = [
 ];
 
 pub(super) fn render_html(table: &MethodTable, origin: &Provenance) -> String {
-    let mut page = Page::new("Ways to a straightness curve");
+    let mut page = HtmlPage::new("Ways to a straightness curve");
     page.add_paragraph(&format!(
         "The residual of each method, and the speed jumps and accelerations that it requires. \
          They are for {} mm/min, in a control that updates its axes every {} ms.",

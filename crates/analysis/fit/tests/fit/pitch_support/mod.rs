@@ -5,7 +5,7 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
-    file::writer::MachineFileEdit,
+    machine_file::writer::MachineFileEdit,
     model::{ReferenceModel, RowInputs},
 };
 

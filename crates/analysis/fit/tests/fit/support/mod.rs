@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use trueup_fit::FitReport;
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, predict::Predictor,
+    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, predict::RunPredictor,
 };
 
 /// The shortest machine file.
@@ -77,7 +77,7 @@ pub fn predicted_rms(
 ) -> f64 {
     let column = ["measured_elongation_um", "measured_dx_um", "measured_dy_um", "measured_dz_um"];
     let measured = run.column(column[quantity]).expect("the run has it");
-    let predictor = Predictor::new(machine, run).expect("it can be predicted");
+    let predictor = RunPredictor::new(machine, run).expect("it can be predicted");
     let (mut squares, mut rows) = (0.0, 0);
     for (row, prediction) in predictor.predictions().enumerate() {
         let left = measured[row] - prediction.model.to_array()[quantity];

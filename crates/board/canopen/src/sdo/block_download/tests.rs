@@ -7,7 +7,7 @@ use trueup_link::layout::SDO_REQUEST_ID;
 
 use crate::sdo::{
     block_download::update_crc,
-    client::{BlockDownload, ClientError, Progress},
+    client::{BlockDownload, SdoClientError, TransferProgress},
     tests::Fake,
     *,
 };
@@ -17,11 +17,11 @@ const NEW: (u16, u8) = (0x2100, 2);
 /// Has a client write these bytes over a line that loses the requests of these numbers. Returns the outcome, and how many
 /// frames went out.
 fn write(
-    server: &mut Server,
+    server: &mut SdoServer,
     fake: &mut Fake,
     bytes: &[u8],
     lost: &[usize],
-) -> (Result<(), ClientError>, usize) {
+) -> (Result<(), SdoClientError>, usize) {
     let (mut client, first) = BlockDownload::start(NEW, bytes);
     let mut out = std::vec![first];
     let mut sent = 0;
@@ -41,16 +41,16 @@ fn write(
         });
         let Some(answer) = answer.or_else(|| server.finish_download(Ok(()))) else { break };
         match client.receive(&answer) {
-            Ok(Progress::Done) => return (Ok(()), sent),
-            Ok(Progress::Ask(frame)) => {
+            Ok(TransferProgress::Done) => return (Ok(()), sent),
+            Ok(TransferProgress::Request(frame)) => {
                 out.push(frame);
                 out.extend(std::iter::from_fn(|| client.next_segment()));
             }
-            Ok(Progress::Unchanged) => {}
+            Ok(TransferProgress::Unchanged) => {}
             Err(error) => return (Err(error), sent),
         }
     }
-    (Err(ClientError::TooShort { at: NEW }), sent)
+    (Err(SdoClientError::TooShort { at: NEW }), sent)
 }
 
 fn bytes(count: usize) -> Vec<u8> {
@@ -66,7 +66,7 @@ fn the_crc_is_that_of_the_standard() {
 #[test]
 fn domains_of_any_length_arrive_as_they_are() {
     for count in [0, 1, 6, 7, 8, 216, 217, 218, 600] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let (outcome, sent) = write(&mut server, &mut fake, &bytes(count), &[]);
         assert_eq!((outcome, &fake.domain), (Ok(()), &bytes(count)), "{count}");
         assert_eq!(sent, 2 + count.div_ceil(7).max(1), "{count}: start, segments, end");
@@ -75,14 +75,14 @@ fn domains_of_any_length_arrive_as_they_are() {
 
 #[test]
 fn a_lost_segment_is_sent_again_and_a_lost_answer_ends_the_transfer() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     // Frame 5 is in the first block of 31, which goes out again from there; frame 75 in one of the next.
     let (outcome, sent) = write(&mut server, &mut fake, &bytes(600), &[5, 75]);
     assert_eq!((outcome, &fake.domain), (Ok(()), &bytes(600)));
     assert!(sent > 2 + 86 + 27, "the rest of the block went out again: {sent}");
     // The last segment of all is lost: nothing is answered, until the server gives up.
     let (outcome, _) = write(&mut server, &mut fake, &bytes(14), &[2]);
-    assert_eq!(outcome, Err(ClientError::TooShort { at: NEW }));
+    assert_eq!(outcome, Err(SdoClientError::TooShort { at: NEW }));
     assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
     let abort = server.tick(1).expect("it gives up");
     assert_eq!(abort.data(), &encode_message(ABORT_COMMAND, NEW, AbortCode::Timeout.code()));
@@ -90,10 +90,12 @@ fn a_lost_segment_is_sent_again_and_a_lost_answer_ends_the_transfer() {
 
 #[test]
 fn a_block_is_answered_once_there_is_room_for_the_next() {
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     let (mut client, first) = BlockDownload::start(NEW, &[7; 500]);
     let started = server.receive(&first, &mut fake).expect("an answer");
-    let Ok(Progress::Ask(segment)) = client.receive(&started) else { panic!("{started:?}") };
+    let Ok(TransferProgress::Request(segment)) = client.receive(&started) else {
+        panic!("{started:?}")
+    };
     fake.is_full = true;
     let block = std::iter::once(segment).chain(std::iter::from_fn(|| client.next_segment()));
     let answers: Vec<_> = block.filter_map(|frame| server.receive(&frame, &mut fake)).collect();
@@ -107,7 +109,7 @@ fn a_block_is_answered_once_there_is_room_for_the_next() {
 
 #[test]
 fn a_wrong_crc_length_object_or_number_is_refused() {
-    let receive = |server: &mut Server, fake: &mut Fake, data| {
+    let receive = |server: &mut SdoServer, fake: &mut Fake, data| {
         server
             .receive(&Frame::from_data(SDO_REQUEST_ID, data), fake)
             .map(|response| *response.data())
@@ -118,14 +120,14 @@ fn a_wrong_crc_length_object_or_number_is_refused() {
         (6, [0xC1, 0, 0, 0, 0, 0, 0, 0], AbortCode::Length),
         (8, [0xC1, 0, 0, 0, 0, 0, 0, 0], AbortCode::Length),
     ] {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let start = receive(&mut server, &mut fake, encode_message(0xC6, NEW, size));
         assert_eq!(start, Some(encode_message(0xA4, NEW, SEGMENTS_PER_BLOCK.into())));
         let answer = receive(&mut server, &mut fake, [0x81, 1, 2, 3, 4, 5, 6, 7]);
         assert_eq!(answer, Some([0xA2, 1, SEGMENTS_PER_BLOCK, 0, 0, 0, 0, 0]));
         assert_eq!(receive(&mut server, &mut fake, end), aborted(NEW, abort), "{size} {end:?}");
     }
-    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut server, mut fake) = (SdoServer::default(), Fake::default());
     for (at, abort) in [
         ((0x1017, 0), AbortCode::Command),
         ((0x1000, 0), AbortCode::ReadOnly),
@@ -149,14 +151,14 @@ fn a_new_master_is_received_where_an_old_one_has_left_a_block() {
         encode_message(ABORT_COMMAND, NEW, 0),
     ];
     for request in starts {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let (_, first) = BlockDownload::start(NEW, &[7; 500]);
         server.receive(&first, &mut fake).expect("an answer");
         for sequence in 1..SEGMENTS_PER_BLOCK {
             let segment = Frame::from_data(SDO_REQUEST_ID, [sequence, 7, 7, 7, 7, 7, 7, 7]);
             assert_eq!(server.receive(&segment, &mut fake), None);
         }
-        let [mut alone, mut other] = [Server::default(), server];
+        let [mut alone, mut other] = [SdoServer::default(), server];
         let expected =
             alone.receive(&Frame::from_data(SDO_REQUEST_ID, request), &mut Fake::default());
         let answer = other.receive(&Frame::from_data(SDO_REQUEST_ID, request), &mut fake);
@@ -169,7 +171,7 @@ proptest! {
     fn whatever_is_lost_what_is_accepted_is_what_was_sent(
         count in 0_usize..600, lost in prop::collection::vec(0_usize..200, 0..20),
     ) {
-        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (mut server, mut fake) = (SdoServer::default(), Fake::default());
         let sent = bytes(count);
         let (outcome, _) = write(&mut server, &mut fake, &sent, &lost);
         if outcome.is_ok() {

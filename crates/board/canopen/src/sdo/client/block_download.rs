@@ -3,7 +3,7 @@
 use trueup_link::frame::Frame;
 
 use super::{
-    ClientError, ObjectAddress, Progress, abort_error, matches_object, request_frame,
+    ObjectAddress, SdoClientError, TransferProgress, abort_error, matches_object, request_frame,
     response_bytes,
 };
 use crate::sdo::{SEGMENT_BYTES, block_download::update_crc, encode_message, saturate_to_u8};
@@ -55,32 +55,33 @@ impl<'d> BlockDownload<'d> {
         self.from.saturating_add(SEGMENT_BYTES.saturating_mul(self.sequence.into()))
     }
 
-    /// Takes a frame from the bus, as [`super::Upload::receive`]. With [`Progress::Ask`] the first frame of what is to be sent
+    /// Takes a frame from the bus, as [`super::Upload::receive`]. With [`TransferProgress::Request`] the first frame of what is to be sent
     /// comes, and [`Self::next_segment`] has the others.
     ///
     /// # Errors
-    /// [`ClientError`]: the transfer is over.
-    pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
-        let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
+    /// [`SdoClientError`]: the transfer is over.
+    pub fn receive(&mut self, frame: &Frame) -> Result<TransferProgress, SdoClientError> {
+        let Some(answer) = response_bytes(frame) else { return Ok(TransferProgress::Unchanged) };
         let &[command, taken, requested, _, first, ..] = answer;
-        let unexpected = Err(ClientError::Unexpected { at: self.at, answer: *answer });
+        let unexpected = Err(SdoClientError::Unexpected { at: self.at, answer: *answer });
         match (command, self.state) {
             (_, DownloadPhase::Starting) if !matches_object(answer, self.at) => {
-                Ok(Progress::Unchanged)
+                Ok(TransferProgress::Unchanged)
             }
             (0x80.., _) if command >> 5 == 4 => Err(abort_error(answer, self.at)),
             (0xA0 | 0xA4, DownloadPhase::Starting) => {
                 self.has_crc = command & 4 != 0;
                 self.state = DownloadPhase::Sending;
-                self.begin_block(0, first).map_or(unexpected, |request| Ok(Progress::Ask(request)))
+                self.begin_block(0, first)
+                    .map_or(unexpected, |request| Ok(TransferProgress::Request(request)))
             }
             (0xA2, DownloadPhase::Sending) if taken <= self.sequence => self
                 .begin_block(taken, requested)
-                .map_or(unexpected, |request| Ok(Progress::Ask(request))),
-            (0xA1, DownloadPhase::Ending) => Ok(Progress::Done),
+                .map_or(unexpected, |request| Ok(TransferProgress::Request(request))),
+            (0xA1, DownloadPhase::Ending) => Ok(TransferProgress::Done),
             // The answer to an earlier start of the same, which was given up.
             (0xA0 | 0xA4, DownloadPhase::Sending) if matches_object(answer, self.at) => {
-                Ok(Progress::Unchanged)
+                Ok(TransferProgress::Unchanged)
             }
             _ => unexpected,
         }
@@ -101,7 +102,7 @@ impl<'d> BlockDownload<'d> {
                 >= self.data.len();
         if is_all {
             self.state = DownloadPhase::Ending;
-            return Some(self.encode_end());
+            return Some(self.encode_end_request());
         }
         self.from = self.from.saturating_add(SEGMENT_BYTES.saturating_mul(taken.into()));
         (self.sequence, self.size) = (0, size);
@@ -120,7 +121,7 @@ impl<'d> BlockDownload<'d> {
         request_frame(data)
     }
 
-    fn encode_end(&self) -> Frame {
+    fn encode_end_request(&self) -> Frame {
         let last = match self.data.len().checked_rem(SEGMENT_BYTES) {
             Some(0) if !self.data.is_empty() => SEGMENT_BYTES,
             rest => rest.unwrap_or(0),

@@ -49,8 +49,8 @@ fn live(rig: &mut Rig, ms: u32, screw: i32, other: i32) -> Output {
                 direction: TravelDirection::Positive,
             }),
         );
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        (raw[3], raw[5]) = (RawReading(screw * 256), RawReading(other * 256));
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        (raw[3], raw[5]) = (RawTemperatureReading(screw * 256), RawTemperatureReading(other * 256));
         rig.now = rig.now.wrapping_add_ms(1);
         let input = TickInput { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);

@@ -15,7 +15,7 @@ fn machine(rapid: u32) -> Calibration<'static> {
     machine.axes[0].rapid = rapid;
     machine.axes[0].pitch = Some(crate::pitch_table::PitchErrorTable {
         start: Position(0),
-        step: crate::travel::Interval::new(1_000 * MM.unsigned_abs()),
+        step: crate::reversal::Interval::new(1_000 * MM.unsigned_abs()),
         forward: &POINTS,
         reverse: None,
     });

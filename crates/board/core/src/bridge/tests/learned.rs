@@ -2,17 +2,17 @@
 
 use super::*;
 use crate::{
-    learned::{ChangeRequest, LearnedLimits},
+    learned::{LearnedChangeRequest, LearnedLimits},
     retained_lags::RetainedLags,
 };
 
 const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 250, axes: 250, zero: 200 };
 
 fn apply_change(rig: &mut Rig, part: u8, amount: i16) {
-    assert!(
-        rig.bridge
-            .apply_learned_change(&mut rig.state, ChangeRequest { part, amount, calibration: 0 })
-    );
+    assert!(rig.bridge.apply_learned_change(
+        &mut rig.state,
+        LearnedChangeRequest { part, amount, calibration: 0 }
+    ));
 }
 
 /// Engaged for so long; the largest step of an offset in a tick, in nm.
@@ -112,8 +112,8 @@ fn a_machine_that_is_called_cold_keeps_what_was_learned() {
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     apply_change(&mut rig, 2, 5);
     warm(&mut rig, 1_000, Some(21), 1_000);
-    assert!(rig.state.is_heat_unknown() && rig.state.learned().current()[1] == 5);
+    assert!(rig.state.is_heat_unknown() && rig.state.learned_changes().current_amounts()[1] == 5);
     rig.bridge.confirm_cold(&mut rig.state);
     assert!(!rig.state.is_heat_unknown());
-    assert_eq!(rig.state.learned().current(), [0, 5, 0, 0, 0]);
+    assert_eq!(rig.state.learned_changes().current_amounts(), [0, 5, 0, 0, 0]);
 }

@@ -3,12 +3,12 @@
 use super::*;
 use crate::{
     calibration::{DualDrive, STRAIGHTNESS_AXIS_PAIRS},
-    curve::{Curve, SEGMENT_SIZE, Segment},
+    curve::{CURVE_SEGMENT_SIZE, Curve, CurveSegment},
     fixed_point::ScaledCoefficient,
     gradient::Gradient,
-    pitch_table::{Beam, PitchErrorTable},
+    pitch_table::{GantryBeam, PitchErrorTable},
+    reversal::Interval,
     term::{Effect, Target, Term, Tilt},
-    travel::Interval,
 };
 extern crate std;
 
@@ -25,8 +25,8 @@ fn at(rig: &mut Rig, axes: impl Iterator<Item = LinearAxis>) -> Output {
 
 #[test]
 fn a_guide_needs_the_position_of_the_axis_that_it_guides_whether_it_is_bent_or_not_square() {
-    let segments: &'static [[u8; SEGMENT_SIZE]] =
-        std::vec![Segment::new(Position(100_000), 16, [256, 0, 0, 0]).to_bytes()].leak();
+    let segments: &'static [[u8; CURVE_SEGMENT_SIZE]] =
+        std::vec![CurveSegment::new(Position(100_000), 16, [256, 0, 0, 0]).to_bytes()].leak();
     for (pair, (_, over)) in STRAIGHTNESS_AXIS_PAIRS.into_iter().enumerate() {
         let [mut bent, mut not_square] = [minimal_calibration(); 2];
         bent.straightness[pair] = Curve::new(Position(0), segments, &[[0, 0]], 17);
@@ -68,8 +68,9 @@ fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [b
         }
         let codes =
             core::array::from_fn(|n| AdcCode(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        raw[3] = if thermometer { RawReading(21 * 256) } else { RawReading::NONE };
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        raw[3] =
+            if thermometer { RawTemperatureReading(21 * 256) } else { RawTemperatureReading::NONE };
         rig.now = rig.now.wrapping_add_ms(1);
         let speed = Some(Rpm(24_000));
         let input = TickInput { temperatures: Some(&raw), speed, codes: Some(&codes) };
@@ -176,7 +177,7 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
     let bent = Tilt { along: Y, lever: Z, origin, angle: curve };
     let [mut screw, mut gantry, mut backlash] = [minimal_calibration(); 3];
     screw.axes[1].pitch = Some(pitch);
-    gantry.axes[0].dual = Some(DualDrive { across: Y, beam: Beam::default(), pitch });
+    gantry.axes[0].dual = Some(DualDrive { across: Y, beam: GantryBeam::default(), pitch });
     backlash.axes[2].backlash = FineNanometres(256);
     let wave = Effect::Wave { turns: 1, phase: 0, amplitude: FineNanometres(256) };
     let machines: [(Calibration<'static>, &[LinearAxis]); 13] = [
@@ -250,8 +251,8 @@ fn a_single_message_of_a_position_moves_the_offset() {
     let received =
         AxisPosition { axis: LinearAxis::X, position, direction: TravelDirection::Positive };
     rig.bridge.receive(&mut rig.state, CncMessage::Position(received));
-    let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-    raw[3] = RawReading(21 * 256);
+    let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+    raw[3] = RawTemperatureReading(21 * 256);
     for _ in 0..60 {
         rig.control(ENGAGED);
         rig.now = rig.now.wrapping_add_ms(1);

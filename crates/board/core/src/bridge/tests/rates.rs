@@ -25,9 +25,9 @@ fn hold(rig: &mut Rig, ms: u32, celsius: [f64; 2]) -> i32 {
     let mut largest = 0;
     for _ in 0..ms {
         rig.control(ENGAGED);
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         for (channel, celsius) in [3, 5].into_iter().zip(celsius) {
-            raw[channel] = RawReading((celsius * PER_K) as i32);
+            raw[channel] = RawTemperatureReading((celsius * PER_K) as i32);
         }
         rig.now = rig.now.wrapping_add_ms(1);
         let input = TickInput { temperatures: Some(&raw), ..TickInput::default() };

@@ -24,7 +24,7 @@ pub(super) fn chain() -> Calibration<'static> {
             .map(Some);
     machine.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
     // A kelvin a reading and more: these tests are of the sources.
-    machine.guards.max_rates[3] = crate::thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN;
+    machine.guards.max_rates[3] = crate::temperature_rate::MAX_RATE_DECIKELVIN_PER_MIN;
     machine.spindle.temperature = Some(SpindleTemperatureModel {
         channel: 3,
         smoothing: SmoothingFactor::NO_LAG,
@@ -50,8 +50,9 @@ pub(super) fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Ou
         rig.control(ENGAGED);
         let codes = core::array::from_fn(|n| AdcCode((code + (n % 4) as u16).saturating_sub(1)));
         let codes = if code == 0 { [AdcCode(0); CODES_PER_TICK] } else { codes };
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        raw[3] = kelvin
+            .map_or(RawTemperatureReading::NONE, |kelvin| RawTemperatureReading(kelvin * 256));
         rig.now = rig.now.wrapping_add_ms(1);
         let input =
             TickInput { temperatures: Some(&raw), speed: Some(Rpm(24_000)), codes: Some(&codes) };
@@ -157,7 +158,7 @@ fn the_age_is_that_of_the_oldest_position_of_an_axis_that_moves() {
         warm(&mut rig, 1, Some(21), 1_000 + n);
     }
     assert!(rig.last.age_ms <= 1);
-    let temperatures = [RawReading::NONE; CHANNEL_COUNT];
+    let temperatures = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
     for n in 1..=200_u8 {
         rig.control(ENGAGED);
         rig.now = rig.now.wrapping_add_ms(1);
@@ -319,8 +320,8 @@ fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_sou
         [([0, 0], None), ([1_050, 1_050], Some(Sensor)), ([1_050, 0], Some(Temperature))]
     {
         let mut rig = Rig::new(chain());
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-        raw[3] = RawReading(22 * 256);
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+        raw[3] = RawTemperatureReading(22 * 256);
         for ms in 0..2_000 {
             let code = seconds[ms / 1_000];
             let codes =

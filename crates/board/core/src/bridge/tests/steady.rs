@@ -17,9 +17,9 @@ fn offsets_nm(machine: Calibration<'static>) -> Vec<i32> {
     let mut rig = Rig::new(machine);
     let mut seed = 1;
     let mut step = || {
-        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         let steps = 20 * 32 + 5 + (next_random(&mut seed) & 1).cast_signed();
-        raw[3] = RawReading(
+        raw[3] = RawTemperatureReading(
             pt100::resistance_from_temperature(Temperature(steps * (Temperature::PER_KELVIN / 32)))
                 .0,
         );

@@ -41,8 +41,8 @@ fn followed_without_a_temperature_ms() -> u32 {
         law: ThermalExpansionLaw { pieces: &[] },
     });
     let mut rig = Rig::new(machine);
-    let mut raw = [RawReading::NONE; CHANNEL_COUNT];
-    raw[2] = RawReading(21 * 256);
+    let mut raw = [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
+    raw[2] = RawTemperatureReading(21 * 256);
     for ms in 0..3_000_u32 {
         rig.control(ENGAGED);
         rig.now = rig.now.wrapping_add_ms(1);
@@ -93,7 +93,7 @@ fn after_missing_blocks_the_sensor_is_believed_again_in_a_tenth_of_a_second() {
 
 #[test]
 fn what_is_measured_by_a_supply_that_is_not_believed_is_not_and_one_that_has_moved_is_corrected() {
-    use crate::supply::{InternalReferenceLevel, SupplyMonitor};
+    use crate::supply_monitor::{InternalReferenceLevel, SupplyMonitor};
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
     rig.state.set_supply_scale(None);

@@ -6,7 +6,7 @@ use crate::{
     machine_position::MachinePosition,
     term::{
         Effect, OperatingPoint, Target, Term, TermStates, Terms, apply_elongation_terms,
-        compute_axis_errors, elongation_term_count,
+        compute_axis_errors, elongation_term_prefix_length,
     },
     testing::next_random,
     units::{FineNanometres, Position, Rpm},
@@ -196,7 +196,7 @@ fn terms_by_category_add_to_what_all_others_have_made() {
         };
         assert_eq!(
             sum(&terms),
-            sum(&terms[..elongation_term_count(&terms)]),
+            sum(&terms[..elongation_term_prefix_length(&terms)]),
             "the rest need not be walked"
         );
         sum(&terms)

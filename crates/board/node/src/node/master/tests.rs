@@ -172,9 +172,9 @@ fn a_stranger_does_not_become_the_master_of_a_cnc_that_sends_four_times_in_its_t
 #[test]
 fn another_line_is_reported_for_two_and_four_tenths_of_a_second_after_it_was_last_received() {
     let mut master = steady();
-    master.record_other_interface();
+    master.record_frame_on_other_interface();
     (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));
-    master.record_other_interface();
+    master.record_frame_on_other_interface();
     for ms in 0..3_000 {
         assert_eq!(master.has_second_sender(), ms < 2_400, "after {ms} ms");
         master.tick(1, TIMEOUT_MS);

@@ -20,7 +20,7 @@ fn caps_lie_where_a_blob_from_before_has_0_and_lets_nothing_be_changed() {
 
 #[test]
 fn each_limit_comes_back_up_to_its_largest_and_one_more_is_refused() {
-    type Set = fn(&mut Limits, u32);
+    type Set = fn(&mut CompensationLimits, u32);
     let set: [(Set, u32); 4] = [
         (|limits, value| limits.slew_nm_per_s = value, MAX_SLEW_NM_PER_S),
         (|limits, value| limits.link_timeout_ms = value, MAX_LINK_TIMEOUT_MS),

@@ -3,7 +3,7 @@
 use trueup_core::{
     calibration::Calibration,
     cnc::LinearAxis,
-    dimensions::MAX_TERMS,
+    design_parameters::MAX_TERMS,
     gradient::Gradient,
     term::{Effect, Target, Term},
 };

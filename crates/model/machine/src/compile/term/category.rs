@@ -18,11 +18,11 @@ use crate::{
         lag,
     },
     effect::{BoardTerm, DependenceForm, Effect, Multiplier, Quantity},
-    file::{Machine, Term},
-    inputs::Inputs,
+    inputs::BoardInputs,
     location::InputFileError,
+    machine_file::{Machine, Term},
     sections::{ToolGrowth, ToolGrowthList},
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, shortest_decimal,
     },
@@ -86,7 +86,7 @@ fn compile_levels(values: &[f64], unit: f64, largest: f64) -> CompileResult<(Vec
     Ok(((mantissas, stored.shift), nm))
 }
 
-pub(super) fn compile_tools(
+pub(super) fn compile_tool_table(
     tools: &[(u16, f64)],
     other: f64,
     times: &Multiplier,
@@ -108,7 +108,7 @@ pub(super) fn compile_tools(
 
 /// Returns the condition of a form, with the default that `[inputs]` states for its bit.
 pub(super) fn compile_condition(
-    inputs: Option<&Inputs>,
+    inputs: Option<&BoardInputs>,
     column: &str,
     [off, on]: [f64; 2],
     lag_s: f64,
@@ -189,7 +189,7 @@ pub(super) fn decompile_tool_table(table: &ToolTable<'_>) -> BoardTerm {
     BoardTerm::Tool { tools, other, times }
 }
 
-pub(super) fn decompile_condition(it: &ConditionLevels) -> BoardTerm {
+pub(super) fn decompile_condition_levels(it: &ConditionLevels) -> BoardTerm {
     let (times, unit) = decompile_factor(it.times);
     let values = decompile_levels(&[it.off, it.on], it.shift, unit);
     BoardTerm::Condition {

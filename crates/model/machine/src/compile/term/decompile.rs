@@ -12,7 +12,7 @@ use trueup_core::{
 };
 
 use super::{
-    HEAT_SLOPE_REFERENCE_M, LOAD_UNITS_PER_NEWTON, Q24_ONE, REFERENCE_LEVER_M, category,
+    HEAT_SLOPE_REFERENCE_M, LOAD_UNITS_PER_NEWTON, ONE_Q24, REFERENCE_LEVER_M, category,
     scale_coefficient,
 };
 use crate::{
@@ -21,7 +21,7 @@ use crate::{
         self, BoardTerm, CoolingAsymmetry, Quantity, SpeedHeatResponse, TemperatureResponse,
         relative_heat_input,
     },
-    file,
+    machine_file,
     sections::AngleProfile,
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM,
@@ -30,13 +30,13 @@ use crate::{
 };
 
 /// Returns the terms as a user writes them.
-pub(in crate::compile) fn decompile(calibration: &Calibration<'_>) -> Vec<file::Term> {
+pub(in crate::compile) fn decompile(calibration: &Calibration<'_>) -> Vec<machine_file::Term> {
     let terms = calibration.terms.iter().flatten().filter_map(decompile_term);
-    cooling_asymmetry_terms(calibration).into_iter().chain(terms).collect()
+    decompile_cooling_asymmetry_terms(calibration).into_iter().chain(terms).collect()
 }
 
 /// Lags that fall at another rate than they rise.
-fn cooling_asymmetry_terms(calibration: &Calibration<'_>) -> Vec<file::Term> {
+fn decompile_cooling_asymmetry_terms(calibration: &Calibration<'_>) -> Vec<machine_file::Term> {
     let spindle = calibration
         .spindle
         .temperature
@@ -52,14 +52,14 @@ fn cooling_asymmetry_terms(calibration: &Calibration<'_>) -> Vec<file::Term> {
         {
             let time_constant_s = lag::decompile_time_constant_s(falling);
             let effect = effect::Effect::CoolingAsymmetry(CoolingAsymmetry { time_constant_s });
-            terms.push(file::Term { quantity, constant_um: 0.0, effect });
+            terms.push(machine_file::Term { quantity, constant_um: 0.0, effect });
         }
     }
     terms
 }
 
 /// Returns the term as the first cause of the list that has its form.
-fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
+fn decompile_term(term: &Term<'_>) -> Option<machine_file::Term> {
     let own = match term.target {
         Target::Elongation => None,
         Target::Axis(axis) => Some(linear_axis_from_board(axis)),
@@ -72,7 +72,7 @@ fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
             is_stored_as(gain - 1.0, *m)
         })),
         Effect::Curvature(m) => {
-            BoardTerm::Curvature(decompile_coefficient(*m, Q24_ONE / FINE_UNITS_PER_UM))
+            BoardTerm::Curvature(decompile_coefficient(*m, ONE_Q24 / FINE_UNITS_PER_UM))
         }
         Effect::Saturation(limit) => {
             BoardTerm::Saturation(to_user_value(limit.0, FINE_UNITS_PER_UM))
@@ -148,12 +148,12 @@ fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
             BoardTerm::Tilt(decompile_tilt(own, it, AngleProfile::Curve(spline)))
         }
         Effect::Tool(table) => category::decompile_tool_table(table),
-        Effect::Condition(it) => category::decompile_condition(it),
+        Effect::Condition(it) => category::decompile_condition_levels(it),
         Effect::Wave { turns, phase, amplitude } => decompile_wave(*turns, *phase, *amplitude),
     };
     // Each form has a cause that it is shown as (tested).
     let effect = effect::Effect::from_board(own, &form, &mut constant_um)?;
-    Some(file::Term { quantity, constant_um, effect })
+    Some(machine_file::Term { quantity, constant_um, effect })
 }
 
 /// Returns the form of a wave of `turns` in 2⁻⁶⁴ turns over the position unit and of `phase` in 2⁻³² turns.
@@ -170,7 +170,7 @@ fn decompile_wave(turns: u64, phase: u32, amplitude: FineNanometres) -> BoardTer
 }
 
 fn decompile_tilt<A>(
-    own: Option<file::LinearAxis>,
+    own: Option<machine_file::LinearAxis>,
     it: &Tilt<A>,
     angle: AngleProfile,
 ) -> effect::Tilt {

@@ -1,13 +1,13 @@
 //! A dependence on a board: levels where the tool or a switch is the category and the board knows the factor, and the
 //! difference of two temperatures.
 
-use trueup_core::dimensions::MAX_TOOLS;
+use trueup_core::design_parameters::MAX_TOOLS;
 
 use super::{Dependence, DependenceForm, column_values::SWITCH_LEVELS};
 use crate::{
     effect::cause_spec::{BoardTerm, Multiplier, TemperatureResponse},
     keys::reader::is_temperature_column,
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
 impl Dependence {
@@ -28,7 +28,7 @@ impl Dependence {
     /// Returns its heat: of two thermometers where it is their difference, of one or two where it depends on the position.
     pub(super) fn heat_terms(&self) -> Vec<BoardTerm> {
         /// The reference of the second thermometer, in °C; any would do.
-        const REFERENCE_C: f64 = 20.0;
+        const REFERENCE_TEMPERATURE_C: f64 = 20.0;
         let DependenceForm::Line { slope, reference } = self.form else { return Vec::new() };
         let of = |column: &String, um_per_c: f64, reference_c: f64| {
             let (column, time_constant_s) = (column.clone(), self.lag_s);
@@ -41,8 +41,8 @@ impl Dependence {
         };
         match (&self.minus, &self.times) {
             (Some(minus), Multiplier::One | Multiplier::Position) => {
-                let first = of(&self.column, slope, REFERENCE_C + reference);
-                vec![first, of(minus, -slope, REFERENCE_C)]
+                let first = of(&self.column, slope, REFERENCE_TEMPERATURE_C + reference);
+                vec![first, of(minus, -slope, REFERENCE_TEMPERATURE_C)]
             }
             (None, Multiplier::Position) if is_temperature_column(&self.column) => {
                 vec![of(&self.column, slope, reference)]

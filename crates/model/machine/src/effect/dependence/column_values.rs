@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 /// Largest number of levels of a column that counts as a category.
-const MAX_LEVELS: usize = 12;
+const MAX_COLUMN_LEVELS: usize = 12;
 /// Smallest number of rows of a level, but of a column that is only 0 and 1.
 const MIN_LEVEL_ROWS: usize = 8;
 /// A column comes near 0 if its smallest value is at most this share of its largest.
@@ -11,7 +11,7 @@ const MAX_NEAR_ZERO_RATIO: f64 = 0.35;
 /// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
 const HINGE_START_COUNT: usize = 8;
 /// Places of a curve, of a smooth and of a wavy one.
-pub(super) const KNOT_COUNTS: [usize; 2] = [5, 9];
+pub(super) const CURVE_KNOT_COUNTS: [usize; 2] = [5, 9];
 /// The levels of a column that is off and on.
 pub(super) const SWITCH_LEVELS: [f64; 2] = [0.0, 1.0];
 
@@ -35,7 +35,7 @@ pub(super) fn find_levels(values: &[f64]) -> Option<Vec<f64>> {
     for &value in values.iter().filter(|value| value.is_finite()) {
         if let Some((_, rows)) = found.iter_mut().find(|(level, _)| *level == value) {
             *rows += 1;
-        } else if found.len() < MAX_LEVELS {
+        } else if found.len() < MAX_COLUMN_LEVELS {
             found.push((value, 1));
         } else {
             return None;
@@ -79,7 +79,7 @@ pub(super) fn choose_knots(values: &[f64], count: usize) -> Option<Vec<f64>> {
     }
     // Three places are the fewest that bend.
     (different.len() == count
-        || (3..KNOT_COUNTS[1]).contains(&different.len()) && count == KNOT_COUNTS[1])
+        || (3..CURVE_KNOT_COUNTS[1]).contains(&different.len()) && count == CURVE_KNOT_COUNTS[1])
         .then_some(different)
 }
 

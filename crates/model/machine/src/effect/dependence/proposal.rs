@@ -3,7 +3,7 @@
 use super::{
     Dependence, DependenceForm,
     column_values::{
-        KNOT_COUNTS, SWITCH_LEVELS, choose_knots, find_frequent_tools, find_levels,
+        CURVE_KNOT_COUNTS, SWITCH_LEVELS, choose_knots, find_frequent_tools, find_levels,
         hinge_candidates, reference_value,
     },
     multiplier::{LOAD_COLUMN, SPEED_COLUMN},
@@ -14,7 +14,7 @@ use crate::{
         data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS, peak_to_peak},
     },
     sections::ElongationSource,
-    tool::TOOL_COLUMN,
+    tool_column::TOOL_COLUMN,
 };
 
 /// Proposes what the recorded columns allow.
@@ -166,7 +166,7 @@ fn hinge_form(values: &[f64]) -> Option<(DependenceForm, StartValues)> {
 
 /// Returns curves of few and of more places.
 fn curve_forms(values: &[f64]) -> impl Iterator<Item = DependenceForm> {
-    let all = KNOT_COUNTS.map(|count| choose_knots(values, count)).into_iter();
+    let all = CURVE_KNOT_COUNTS.map(|count| choose_knots(values, count)).into_iter();
     all.flatten().map(|at| DependenceForm::Curve { added: vec![0.0; at.len()], at })
 }
 

@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// Keys of a dependence.
-pub(super) const KEYS: &[&str] = &[
+pub(super) const DEPENDENCE_KEYS: &[&str] = &[
     COLUMN.name,
     MINUS.name,
     FORM.name,

@@ -3,7 +3,7 @@
 use super::{column_values::find_levels, *};
 
 fn added(page: &Dependence, x: &[f64]) -> f64 {
-    crate::effect::law::evaluate_at(page, &page.values(), x)
+    crate::effect::law_evaluation::evaluate_at(page, &page.values(), x)
 }
 
 fn page(form: DependenceForm, times: Multiplier) -> Dependence {

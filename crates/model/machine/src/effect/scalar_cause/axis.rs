@@ -146,7 +146,7 @@ impl ScalarCauseDefinition for TimeShift {
         name: "time-shift",
         stage: PredictionStage::Shift,
         tier: 2,
-        is_compensated: false,
+        is_compensable: false,
         inputs: &[Input::Time],
         nonlinear: &[NonlinearParameter::Shift],
         propose: |survey| {

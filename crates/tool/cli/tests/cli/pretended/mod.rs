@@ -13,18 +13,18 @@ use std::{
 use trueup_core::{
     bridge::{ReferenceErrors, TickInput},
     cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
-    dimensions::CODES_PER_TICK,
+    design_parameters::CODES_PER_TICK,
     units::{AdcCode, Nanometres, Position, Rpm},
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_RESPONSE_ID, slcan::Port};
 use trueup_machine::{CompiledCalibration, Machine, MachineFile, compile};
 use trueup_node::{
-    configuration::Configuration,
+    configuration::NodeConfiguration,
     node::{Interface, Node},
 };
 use trueup_store::{
     calibration::{MAX_BLOB_SIZE, calibration_crc, decode},
-    load::LoadOutcome,
+    calibration_load::LoadOutcome,
     reference::ReferenceStatus,
 };
 
@@ -123,7 +123,7 @@ pub fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
 fn of_commit(blob: &'static [u8], commit: u32) -> (Node<'static>, Port) {
     let calibration = decode(blob).expect("a calibration");
     let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
-    let node = Node::new(Configuration { blob, buffer, commit, ..calibration.into() });
+    let node = Node::new(NodeConfiguration { blob, buffer, commit, ..calibration.into() });
     (node, Port::new(0x00A1))
 }
 
@@ -154,7 +154,7 @@ fn take_load(node: &mut Node<'_>, fault: PretendedFault, stored: &mut Option<Vec
     if let Some(mut load) = node.take_received_calibration() {
         let mut outcome = LoadOutcome::Stored;
         match load.validate_blob() {
-            Err(_) => outcome = LoadOutcome::Refused,
+            Err(_) => outcome = LoadOutcome::Rejected,
             Ok(_) if fault == PretendedFault::Full => outcome = LoadOutcome::NotStored,
             Ok(blob) => *stored = Some(blob.to_vec()),
         }
@@ -272,7 +272,7 @@ pub fn live(
         }
         let speed = Some(Rpm(24_000));
         let sent = node.tick(1, TickInput { codes: Some(&codes), speed, ..TickInput::default() });
-        let sent = sent.into_iter().chain(node.service());
+        let sent = sent.into_iter().chain(node.next_service_frame());
         if fault != PretendedFault::NoFrames {
             for frame in &sent.collect::<Vec<_>>() {
                 let flip = is_damaged(fault, frame, ms);

@@ -14,19 +14,19 @@ use std::{
 use trueup_boot::{
     flash_layout::{SLOT_SIZE, Slot},
     handover::StartInfo,
-    header::Version,
+    image_header::FirmwareVersion,
     journal::Journal,
     public_key::PublicKey,
-    refusal::RefusalReason,
+    refusal_reason::FirmwareRejectReason,
     start::{ClockSpeed, StartOutcome, StartSelection, select_image},
-    update::{self, Update},
+    update::{self, ImageUpdate},
 };
 use trueup_core::{bridge::TickInput, cnc::Control};
-use trueup_emulator::slots::sign_update;
+use trueup_emulator::slot_images::build_signed_update;
 use trueup_link::{frames, layout::SDO_RESPONSE_ID, slcan::Port};
 use trueup_node::node::{
     Interface, Node,
-    firmware::{FirmwareChunk, SlotStates, UpdateStep},
+    firmware_update::{FirmwareChunk, SlotStates, UpdateStep},
 };
 use trueup_signature::PrivateKey;
 use trueup_store::strict_flash::StrictFlash;
@@ -45,8 +45,8 @@ pub const BODY: usize = 2_100;
 pub const PART: usize = 512 + BODY;
 
 /// The version 1.`minor`.0.
-pub fn version(minor: u8) -> Version {
-    Version::new(1, minor, 0, 0)
+pub fn version(minor: u8) -> FirmwareVersion {
+    FirmwareVersion::new(1, minor, 0, 0)
 }
 
 /// Returns the key of the board's maker.
@@ -58,7 +58,7 @@ pub fn maker() -> PrivateKey {
 /// Returns the file for one slot.
 pub fn part(slot: Slot, minor: u8, key: &PrivateKey) -> Vec<u8> {
     let body: Vec<u8> = (0..BODY).map(|at| (at % 251) as u8 ^ minor ^ slot.number()).collect();
-    sign_update(&body, slot, version(minor), version(0), key)
+    build_signed_update(&body, slot, version(minor), version(0), key)
 }
 
 /// Returns the file for both.
@@ -120,7 +120,7 @@ struct Board {
     slots: SlotFlash,
     key: PublicKey,
     running: StartSelection,
-    update: Option<Update>,
+    update: Option<ImageUpdate>,
 }
 
 impl Board {
@@ -158,16 +158,27 @@ impl Board {
         let versions = images.map(|image| image.map_or(0, |image| image.header.version.0));
         let running = self.running.image.header.slot.number();
         let choice = StartInfo::from(&self.running).encode();
-        self.node.set_slots(SlotStates { running, versions, status, floor: state.floor.0, choice });
+        self.node.set_slot_states(SlotStates {
+            running,
+            versions,
+            status,
+            floor: state.floor.0,
+            choice,
+        });
     }
 
-    fn take(&mut self, step: UpdateStep, piece: &FirmwareChunk) -> Result<(), RefusalReason> {
+    fn take(
+        &mut self,
+        step: UpdateStep,
+        piece: &FirmwareChunk,
+    ) -> Result<(), FirmwareRejectReason> {
         let Self { journal, slots, .. } = self;
         match step {
             UpdateStep::Begin => {
                 self.update = None;
                 let header = piece.first_chunk().expect("512 bytes");
-                self.update = Some(Update::begin(journal, slots, &self.running.image, header)?);
+                self.update =
+                    Some(ImageUpdate::begin(journal, slots, &self.running.image, header)?);
             }
             UpdateStep::Write => {
                 self.update.as_mut().expect("under way").append(slots, piece)?;
@@ -224,7 +235,7 @@ impl Board {
                     (_, Err(_)) => 0,
                 };
                 self.set_slots();
-                self.node.finish_firmware_step(step, outcome.map_err(RefusalReason::number));
+                self.node.finish_firmware_step(step, outcome.map_err(FirmwareRejectReason::number));
                 let mut seen = seen.lock().expect("no holder panics");
                 if step == UpdateStep::Write {
                     seen.written += piece.len();
@@ -239,7 +250,9 @@ impl Board {
                 (tools.stream, self.setup.cut_at) = (None, None);
             }
             let offsets = self.node.tick(1, TickInput::default());
-            for frame in offsets.into_iter().chain(self.node.service()).collect::<Vec<_>>() {
+            for frame in
+                offsets.into_iter().chain(self.node.next_service_frame()).collect::<Vec<_>>()
+            {
                 let is_answer =
                     frame.id() == SDO_RESPONSE_ID && matches!(frame.data()[0], 0xA1 | 0xA2);
                 if is_answer && self.setup.lost_answer_at.is_some_and(|at| received >= at) {

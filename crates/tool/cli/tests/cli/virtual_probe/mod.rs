@@ -5,8 +5,8 @@
 use std::collections::BTreeMap;
 
 use trueup_twin::{
-    axes::{Axes, AxesConfig},
-    bodies::{Body, error_um},
+    axes::{AxesConfig, SimulatedAxes},
+    rigid_bodies::{Body, error_um},
 };
 
 /// How far apart a move is looked at, in mm; less than any stylus or ball.
@@ -23,7 +23,7 @@ pub struct State {
     pub mm: [f64; 3],
     pub deg: [f64; 3],
     pub tool_mm: f64,
-    axes: Axes,
+    axes: SimulatedAxes,
 }
 
 impl State {
@@ -51,7 +51,7 @@ pub fn run(
         mm: [0.0; 3],
         deg: [0.0; 3],
         tool_mm,
-        axes: Axes::new(&truth.axes, [0.0; 3], 20.0),
+        axes: SimulatedAxes::new(&truth.axes, [0.0; 3], 20.0),
     };
     let (mut log, mut text, mut met_mm) = (String::new(), String::new(), f64::NAN);
     let mut values: BTreeMap<String, f64> = BTreeMap::new();

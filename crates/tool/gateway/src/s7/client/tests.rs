@@ -61,7 +61,7 @@ fn it_reads_and_writes_however_the_network_cuts_the_answers() {
             ],
             at_a_time,
         );
-        let mut client = Client::connect(&place).expect("a CPU");
+        let mut client = S7Client::connect(&place).expect("a CPU");
         client.write(100, 0, &[1, 2]).expect("written");
         let mut bytes = [0; 2];
         client.read(100, 64, &mut bytes).expect("read");
@@ -81,7 +81,7 @@ fn what_is_asked_is_what_the_protocol_says() {
 #[test]
 fn what_is_no_answer_is_reported_and_no_panic() {
     let refused = |answers: Vec<Vec<u8>>| {
-        let error = match Client::connect(&cpu(answers, 1_000)) {
+        let error = match S7Client::connect(&cpu(answers, 1_000)) {
             Err(error) => error,
             Ok(mut client) => client.write(1, 0, &[0; 56]).expect_err("no answer"),
         };

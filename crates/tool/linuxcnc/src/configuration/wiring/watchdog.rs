@@ -7,7 +7,7 @@
 //! ```
 //!
 //! `moveoff` alone does not stay where it was left: from rest, with an input that stands above its output, it goes away from
-//! its goal (`joint.rs`), and the component that keeps it from that is gone. A largest speed of 0 keeps it where it is,
+//! its goal (`joint_offsets.rs`), and the component that keeps it from that is gone. A largest speed of 0 keeps it where it is,
 //! whatever its input. `limit2` takes the speed to 0 by the acceleration of the offset, so that one on its way stops without a step.
 
 use std::fmt::Write as _;
@@ -47,16 +47,16 @@ const OPERATOR_MESSAGES: [(&str, &str, &str); 4] = [
 ];
 
 /// Returns the instances that switch the largest speed of these joints, and those that change it by a ramp.
-fn ramp_instances(names: &[String]) -> [Vec<String>; 2] {
+fn speed_ramp_instances(names: &[String]) -> [Vec<String>; 2] {
     ["go", "speed"].map(|end| names.iter().map(|name| format!("{name}-{end}")).collect())
 }
 
 impl HalWriter<'_> {
     /// Loads what takes the speed of the offsets to 0, and returns its functions in their order.
     pub(super) fn load_speed_ramps(&mut self, text: &mut String, names: &[String]) -> Vec<String> {
-        let [switches, ramps] = ramp_instances(names);
-        self.load_module(text, "mux8", &switches);
-        self.load_module(text, "limit2", &ramps);
+        let [switches, ramps] = speed_ramp_instances(names);
+        self.write_loadrt(text, "mux8", &switches);
+        self.write_loadrt(text, "limit2", &ramps);
         [switches, ramps].concat()
     }
 
@@ -74,7 +74,7 @@ impl HalWriter<'_> {
     /// Holds the feed while the component is gone.
     pub(super) fn write_watchdog(&mut self, text: &mut String, thread: &str) {
         text.push_str("\n# Holds the feed while the component is gone.\n");
-        self.load_module(text, "oneshot", &[ALIVE_ONESHOT.into(), ALIVE_LOST_ONESHOT.into()]);
+        self.write_loadrt(text, "oneshot", &[ALIVE_ONESHOT.into(), ALIVE_LOST_ONESHOT.into()]);
         for (name, width, rising) in
             [(ALIVE_ONESHOT, "0.3", "TRUE"), (ALIVE_LOST_ONESHOT, "1", "FALSE")]
         {

@@ -93,7 +93,10 @@ fn the_number_of_the_connection_ties_a_death_to_its_birth_and_comes_round() {
         assert_eq!(node.begin_connection(), expected);
         let birth = node.update(NodeStatistics::default(), &[], 1);
         let value = Some(metric::Value::LongValue(expected.into()));
-        assert_eq!((number(&node.death_message(1)), number(&birth[0])), (value.clone(), value));
+        assert_eq!(
+            (number(&node.build_death_message(1)), number(&birth[0])),
+            (value.clone(), value)
+        );
     }
 }
 
