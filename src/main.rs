@@ -12,23 +12,24 @@
 //!
 //! | task | trigger | priority | arrives | deadline | reads | writes |
 //! |---|---|---|---|---|---|---|
-//! | `serial_receive` | USART1, a pause or half a ring of bytes | 5 | 0.24 ms; 128 bytes, 10.8 µs each | 1.39 ms, the other half | USART1, DMA | byte queue |
-//! | `serial_moved` | DMA2 stream 2, half a ring of bytes | 5 | 1.39 ms | 1.39 ms | | |
-//! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms | 1 ms, the next block | samples, temperatures | node, port, CAN |
-//! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 6 | 95 µs; at 16 MHz 573 µs | 95 µs, the next byte at 115 200 Bd; at 16 MHz 573 µs, 19 200 Bd | USART3 | byte queues |
-//! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms; at 144 MHz never; at 16 MHz never | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
-//! | `listen` | bytes in the queue | 3 | 0.24 ms; 128 bytes, 10.8 µs each, 22 a line | 256 bytes (2.8 ms) | byte queue | port, node |
+//! | `serial_receive` | USART1, a pause or half a ring of bytes | 9 | 0.24 ms; 128 bytes, 10.8 µs each | 1.39 ms, the other half | USART1, DMA | byte queue |
+//! | `serial_moved` | DMA2 stream 2, half a ring of bytes | 9 | 1.39 ms | 1.39 ms | | |
+//! | `sample` | DMA2 stream 0, 20 codes | 8 | 1 ms | 1 ms, the next block | samples, temperatures | node, port, CAN |
+//! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 10 | 95 µs; at 16 MHz 573 µs | 95 µs, the next byte at 115 200 Bd; at 16 MHz 573 µs, 19 200 Bd | USART3 | byte queues |
+//! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 7 | 2 ms; at 144 MHz never; at 16 MHz never | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
+//! | `listen` | bytes in the queue | 5 | 0.24 ms; 128 bytes, 10.8 µs each, 22 a line | 1,024 bytes (11 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 10 ms | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
-//! | `service` | 2 ms since its last turn | 2 | 2 ms | 10 ms | node | node, port, CAN |
-//! | `modbus` | TIM5, 3.5 characters of silence; bytes in the queue | 2 | 1.1 ms; 64 bytes, 95 µs each; at 16 MHz 6.5 ms | 6 ms, 64 bytes; at 16 MHz 36 ms | byte queue, node | node, byte queue |
-//! | `transmit` | lines in the port, room on the line | 3 | 0.08 ms | 5 ms of frames in the port | port | USART1, DMA |
+//! | `service` | 2 ms since its last turn | 4 | 2 ms | 10 ms | node | node, port, CAN |
+//! | `modbus` | TIM5, 3.5 characters of silence; 16 bytes in the queue | 3 | 0.75 ms; 64 bytes, 95 µs each; at 16 MHz 1.6 ms | 4.5 ms, 48 bytes; at 16 MHz 27 ms | byte queue, node | node, byte queue |
+//! | `transmit` | lines in the port, room on the line | 6 | 0.25 ms | 5 ms of frames in the port | port | USART1, DMA |
 //! | `poll` | `transmit`, where its DMA is dead | 1 | never while the DMA lives | the same | port | USART1 |
 //! | `thermometers` | `supervise` | 1 | 10 ms | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | | |
 //!
-//! `arrives`: how often a task starts at the most. A pause of the serial line comes once a line of 22 bytes, a frame of a PLC has
-//! 8 bytes and a silence; `listen`, `sample`, `service` and `supervise` raise `transmit` 5.8 times in a millisecond, and the pieces that have left
-//! 6.4 times: each has what one of the first three has queued, or follows a full one of 1.38 ms; without its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
+//! `arrives`: how often a task starts at the most. A pause of the serial line comes once a line of 22 bytes. A PLC raises
+//! `modbus` by a silence of 1.75 ms and by 16 bytes of 95 µs. `sample`, `service` and `supervise` raise `transmit` 1.6 times in a
+//! millisecond, and the pieces that have left 2.4 times: each has what one of these has queued, or follows a full one of 1.38 ms. Without
+//! its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
 //! docs/robustness.md): no task waits for half its deadline, on 16 MHz for two thirds. Interrupts are off for 12 µs at the
@@ -45,6 +46,7 @@ mod board;
 mod faults;
 mod liveness;
 mod plc;
+mod startup;
 mod supervision;
 
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -58,24 +60,23 @@ mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
         board::{
-            self, CalibrationBuffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, SerialIn,
-            SerialOut, ServiceSwitch, SilenceTimer, Thermometers, TransmitState,
+            self, CalibrationBuffer, CanIn, CanOut, Codes, Idle, Rs485, Samples, SelfTest,
+            SerialIn, SerialOut, ServiceSwitch, SilenceTimer, Thermometers, TransmitState,
         },
         liveness::{self, Task},
-        plc::SharedRegisters,
+        plc::{SharedRegisters, queue_answer},
+        startup::init_node_in_place,
         supervision::{SUPERVISOR_PERIOD_MS, Supervisor, log_live_values},
     };
     use core::mem::MaybeUninit;
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::{Fault, Faults};
-    use trueup_core::{
-        bridge::TickInput, calibration::Calibration, temperature_channels::RawTemperatures,
-    };
+    use trueup_core::{bridge::TickInput, temperature_channels::RawTemperatures};
     use trueup_link::{
         byte_queue::{ByteQueue, Reader, Writer},
         frame::Frame,
-        slcan::Port,
+        slcan::{LineSplitter, Port},
     };
     use trueup_modbus::{
         rtu::{RxByte, Slave},
@@ -96,9 +97,11 @@ mod app {
     const THERMOMETERS_INTERRUPT: Interrupt = Interrupt::EXTI2;
     const SERVICE_INTERRUPT: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
-    const SERIAL_RX_QUEUE_LENGTH: usize = 256;
+    const SERIAL_RX_QUEUE_LENGTH: usize = 1024;
     /// The same of the PLC's line: 6 ms at 115 200 Bd.
     const PLC_RX_QUEUE_LENGTH: usize = 64;
+    /// From this number of them on they are taken though the line has not paused; the others are room for the time that takes.
+    const PLC_BATCH_LENGTH: usize = 16;
     /// An answer of up to 61 bytes.
     const MODBUS_TX_QUEUE_LENGTH: usize = 64;
 
@@ -133,17 +136,6 @@ mod app {
         service_switch: ServiceSwitch,
         self_test: SelfTest,
         idle: Idle,
-    }
-
-    /// Puts the node in its place. Apart from the start, because a node and its calibration are moved by value here:
-    /// their stack is free again before the rest of the start needs its own.
-    #[inline(never)]
-    fn init_node_in_place(
-        place: &'static mut MaybeUninit<Node<'static>>,
-        calibration: Option<&Calibration<'static>>,
-        with: impl FnOnce(Option<Calibration<'static>>) -> NodeConfiguration<'static>,
-    ) -> &'static mut Node<'static> {
-        place.write(Node::new(with(calibration.copied())))
     }
 
     #[init(local = [queue: ByteQueue<SERIAL_RX_QUEUE_LENGTH> = ByteQueue::new(), buffer: CalibrationBuffer = [0; _],
@@ -241,21 +233,23 @@ mod app {
     }
 
     /// A millisecond of codes becomes an offset.
-    #[task(binds = DMA2_STREAM0, priority = 4,
+    #[task(binds = DMA2_STREAM0, priority = 8,
            shared = [node, port, can_out, samples, temperatures])]
     fn sample(cx: sample::Context) {
         let _turn = liveness::begin_task(Task::Sample);
         let mut shared = cx.shared;
-        let Some(block) = shared.samples.lock(Samples::take_block) else { return };
+        let mut codes = Codes::default();
+        let Some(block) = shared.samples.lock(|adc| adc.take_block(&mut codes)) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
-        let (codes, speed) = (Some(&block.codes), block.speed);
+        let (codes, speed) = (Some(&codes), block.speed);
         let input = TickInput { codes, speed, temperatures: temperatures.as_ref() };
         let frames = shared.node.lock(|node| run_tick(node, 1, input));
         shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&frames, can, port)));
+        rtic::pend(TRANSMIT_INTERRUPT);
     }
 
     /// A frame from the bus, in the first FIFO.
-    #[task(binds = CAN1_RX0, priority = 3, local = [can_in_0], shared = [node])]
+    #[task(binds = CAN1_RX0, priority = 7, local = [can_in_0], shared = [node])]
     fn can_receive_0(mut cx: can_receive_0::Context) {
         let _turn = liveness::begin_task(Task::CanReceive0);
         while let Some(frame) = cx.local.can_in_0.receive() {
@@ -265,7 +259,7 @@ mod app {
     }
 
     /// A frame from the bus, in the second FIFO.
-    #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
+    #[task(binds = CAN1_RX1, priority = 7, local = [can_in_1], shared = [node])]
     fn can_receive_1(mut cx: can_receive_1::Context) {
         let _turn = liveness::begin_task(Task::CanReceive1);
         while let Some(frame) = cx.local.can_in_1.receive() {
@@ -274,7 +268,7 @@ mod app {
     }
 
     /// Bytes from the serial line: saved before more come, understood later.
-    #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
+    #[task(binds = USART1, priority = 9, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
         let _turn = liveness::begin_task(Task::SerialReceive);
         let mut batch = cx.local.to_listen.begin_batch();
@@ -285,37 +279,42 @@ mod app {
     }
 
     /// The ring of the DMA is half full or full, and the line has not paused.
-    #[task(binds = DMA2_STREAM2, priority = 5)]
+    #[task(binds = DMA2_STREAM2, priority = 9)]
     fn serial_moved(_: serial_moved::Context) {
         rtic::pend(Interrupt::USART1);
     }
 
-    /// Bytes become lines, lines become frames.
-    #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
+    /// Bytes become lines, lines become frames. The answers wait for the next tick, and leave with the offsets.
+    #[task(binds = EXTI0, priority = 5, local = [from_serial, lines: LineSplitter = LineSplitter::new()],
+           shared = [port, node])]
     fn listen(mut cx: listen::Context) {
         let _turn = liveness::begin_task(Task::Listen);
         while let Some(byte) = cx.local.from_serial.pop() {
-            if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
+            let Some(line) = cx.local.lines.push(byte) else { continue };
+            if let Some(frame) = cx.shared.port.lock(|port| port.receive_line(line)) {
                 cx.shared.node.lock(|node| node.receive(Interface::Serial, &frame)).ok();
             }
         }
-        rtic::pend(TRANSMIT_INTERRUPT);
+        board::transmit_without_tick();
     }
 
     /// Bytes from the PLC, each with its time, and those of an answer to it.
-    #[task(binds = USART3, priority = 6, local = [rs485, to_modbus, from_modbus])]
+    #[task(binds = USART3, priority = 10, local = [rs485, to_modbus, from_modbus])]
     fn modbus_line(cx: modbus_line::Context) {
         let _turn = liveness::begin_task(Task::ModbusLine);
-        while let Some(received) = cx.local.rs485.receive_byte() {
+        // One: the next is a character's time away, and raises the interrupt again.
+        if let Some(received) = cx.local.rs485.receive_byte() {
             // A full queue loses the byte; the checksum of its frame shows that.
             cx.local.to_modbus.enqueue(received).ok();
         }
         cx.local.rs485.send(|| cx.local.from_modbus.dequeue());
-        rtic::pend(Interrupt::TIM5);
+        if cx.local.to_modbus.len() >= PLC_BATCH_LENGTH {
+            rtic::pend(Interrupt::TIM5);
+        }
     }
 
     /// Bytes become requests, requests are answered.
-    #[task(binds = TIM5, priority = 2, shared = [node],
+    #[task(binds = TIM5, priority = 3, shared = [node],
            local = [slave, silence, received, answer, response: ResponseBuffer = ResponseBuffer::new()])]
     fn modbus(cx: modbus::Context) {
         let _turn = liveness::begin_task(Task::Modbus);
@@ -326,9 +325,7 @@ mod app {
         // Read behind the bytes: no time of theirs is later.
         let now_us = it.silence.now_us();
         if it.slave.poll(now_us, &mut SharedRegisters(cx.shared.node), it.response) {
-            for byte in &*it.response {
-                it.answer.enqueue(*byte).ok();
-            }
+            queue_answer(it.answer, it.response);
             rtic::pend(Interrupt::USART3);
         }
     }
@@ -426,7 +423,7 @@ mod app {
     }
 
     /// Sends what a CANopen node has to say in addition to the offsets. Nothing of it is in the tick.
-    #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
+    #[task(binds = EXTI3, priority = 4, shared = [node, port, can_out])]
     fn service(cx: service::Context) {
         let _turn = liveness::begin_task(Task::Service);
         let mut shared = cx.shared;
@@ -440,12 +437,15 @@ mod app {
     }
 
     /// Lines to the serial line, as much as its DMA takes at once.
-    #[task(binds = DMA2_STREAM7, priority = 3, shared = [serial_out, port])]
+    #[task(binds = DMA2_STREAM7, priority = 6, shared = [serial_out, port])]
     fn transmit(cx: transmit::Context) {
         let _turn = liveness::begin_task(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
-        let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.drain_into(piece))));
+        // What is queued behind this look raises the task again.
+        let is_waiting = port.lock(|port| port.has_waiting_bytes());
+        let fill = |piece: &mut [u8]| port.lock(|port| port.drain_into(piece));
+        let sent = out.lock(|out| out.send(now, is_waiting, fill));
         if sent == TransmitState::MorePending {
             rtic::pend(POLL_INTERRUPT);
         }
@@ -488,7 +488,7 @@ mod app {
     }
 
     /// Frames to both wires.
-    fn send_frames(frames: &[Frame], can: &mut CanOut, port: &mut Port) {
+    fn send_frames<const N: usize>(frames: &[Frame; N], can: &mut CanOut, port: &mut Port) {
         for frame in frames {
             can.send(frame);
         }

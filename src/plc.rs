@@ -2,6 +2,7 @@
 //! moment, encoded and sealed outside of the lock. A block that is written is checked and decoded outside of it, accepted or
 //! refused as a whole in one look, and its values follow one by one before the answer, as the frames of a CNC do.
 
+use heapless::spsc::Producer;
 use rtic::Mutex;
 use trueup_modbus::{
     holding_block::{self, HoldingBlock},
@@ -33,5 +34,14 @@ impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters
             }
         }
         Ok(())
+    }
+}
+
+/// Queues an answer to the PLC.
+// A function of its own in the image: its time is bounded by the requests (`cargo xtask bounds`).
+#[inline(never)]
+pub fn queue_answer(to_line: &mut Producer<'static, u8>, answer: &[u8]) {
+    for byte in answer {
+        to_line.enqueue(*byte).ok();
     }
 }

@@ -12,7 +12,8 @@ use trueup_bounds::{
 };
 use trueup_checks::timing_bounds;
 use trueup_emulator::{firmware_images, setup};
-use trueup_store::write_log::WriteKind;
+use trueup_modbus::{rtu::FrameTiming, server::MIN_REQUEST_BYTES};
+use trueup_store::{rate_limit::STORE_PERIOD_MS, write_log::WriteKind};
 
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
@@ -33,13 +34,20 @@ fn bounded() -> &'static TimingBounds {
 /// (docs/robustness.md has the reasons), and their responses are measured on the model instead (`chip`, `waits`).
 const SHOWN: &[&str] = &[
     "168 MHz sample",
+    "168 MHz can_receive_0",
+    "168 MHz can_receive_1",
     "168 MHz serial_receive",
     "168 MHz serial_moved",
+    "168 MHz listen",
     "168 MHz modbus_line",
+    "168 MHz transmit",
     "144 MHz sample",
     "144 MHz serial_receive",
     "144 MHz serial_moved",
+    "144 MHz listen",
     "144 MHz modbus_line",
+    "144 MHz service",
+    "144 MHz transmit",
     "16 MHz serial_receive",
     "16 MHz serial_moved",
     "16 MHz modbus_line",
@@ -90,6 +98,53 @@ fn a_function_with_a_rate_within_another_one_is_counted_and_each_task_has_a_path
         // A piece of the serial line is taken from the port, and a full one leaves bytes in it.
         assert!(it.task != "transmit" || apart == 2, "{path}");
     }
+}
+
+fn period_us(function: &str) -> f64 {
+    let mut once = FIRMWARE_DECLARATIONS.once.iter();
+    once.find(|once| once.function == function).expect(function).period_us
+}
+
+#[test]
+fn rates_are_those_that_the_code_keeps() {
+    // 11 bits a character, at the two speeds of the switch (`src/board/stm32f405/rs485.rs`).
+    for baud in [19_200, 115_200] {
+        let silence_us = f64::from(FrameTiming::from_baud(baud).behind_us);
+        let request_us = MIN_REQUEST_BYTES as f64 * 11e6 / f64::from(baud) + silence_us;
+        assert!(period_us("server::handle_request") <= silence_us);
+        assert!(period_us("server::execute_request") <= request_us);
+    }
+    let records = period_us("trueup_store::reference::ReferenceStore<F>::append");
+    assert_eq!(records, 1_000.0 * f64::from(STORE_PERIOD_MS));
+}
+
+/// The tasks of `src/main.rs`, each with its text.
+fn tasks(app: &str) -> impl Iterator<Item = (&str, &str)> {
+    app.split("#[task(").skip(1).map(|text| {
+        let text = text.split_once("\n    }\n").expect("a task ends").0;
+        let name = text.split_once("fn ").and_then(|(_, rest)| rest.split_once('('));
+        (name.expect("a task has a name").0, text)
+    })
+}
+
+#[test]
+fn tasks_raise_each_other_as_often_as_their_table_says() {
+    let app = std::fs::read_to_string(setup::project_root().join("src/main.rs")).unwrap();
+    let raise = |what: &[&str]| {
+        let raise = tasks(&app).filter(|(_, text)| what.iter().any(|what| text.contains(what)));
+        raise.map(|(name, _)| name).collect::<Vec<_>>()
+    };
+    // `transmit` 1.6 times in a millisecond: no task that bytes or frames start is among these.
+    let transmit = raise(&["pend(TRANSMIT_INTERRUPT)", "send_frames("]);
+    assert_eq!(transmit, ["sample", "supervise", "service"]);
+    // `modbus` by 16 bytes, of which there is room for 48 more.
+    assert_eq!(raise(&["pend(Interrupt::TIM5)"]), ["modbus_line"]);
+    let modbus_line = tasks(&app).find(|(name, _)| *name == "modbus_line").unwrap().1;
+    assert!(modbus_line.contains("if cx.local.to_modbus.len() >= PLC_BATCH_LENGTH {"));
+    assert!(app.contains("const PLC_BATCH_LENGTH: usize = 16;"));
+    assert!(
+        app.contains("const PLC_RX_QUEUE_LENGTH: usize = 64;") && app.contains("4.5 ms, 48 bytes")
+    );
 }
 
 #[test]

@@ -14,10 +14,14 @@ const STACK: u64 = 80 * 1024;
 /// architecture manual, B1.5.7).
 const EXCEPTION: u64 = 4 * 27;
 /// The tasks, by their interrupts (`src/main.rs`), from the lowest priority on: at most one of each runs.
-const PRIORITIES: [&[&str]; 6] = [
+const PRIORITIES: [&[&str]; 10] = [
     &["EXTI1", "EXTI2"],
-    &["SysTick", "EXTI3", "TIM5"],
-    &["CAN1_RX0", "CAN1_RX1", "EXTI0", "DMA2_STREAM7"],
+    &["SysTick"],
+    &["TIM5"],
+    &["EXTI3"],
+    &["EXTI0"],
+    &["DMA2_STREAM7"],
+    &["CAN1_RX0", "CAN1_RX1"],
     &["DMA2_STREAM0"],
     &["USART1", "DMA2_STREAM2"],
     &["USART3"],

@@ -67,9 +67,11 @@ pub const CODES_PER_BLOCK: usize = 20;
 /// Temperature channels.
 pub const TEMPERATURE_CHANNEL_COUNT: usize = 8;
 
-/// One millisecond of samples.
+/// The codes of a block: they are read into the place where they are used.
+pub type Codes = [AdcCode; CODES_PER_BLOCK];
+
+/// One millisecond of samples, in addition to its codes.
 pub struct Block {
-    pub codes: [AdcCode; CODES_PER_BLOCK],
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
     /// Readings of the temperature channels, where they come with the samples and not from

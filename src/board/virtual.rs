@@ -51,8 +51,8 @@ use trueup_store::calibration;
 use crate::liveness::{self, Task};
 
 use super::{
-    Block, CODES_PER_BLOCK, CanErrorState, Parts, PlcInterface, StartupFaults,
-    TEMPERATURE_CHANNEL_COUNT, TransmitState, reference_store, retained_ram,
+    Block, CanErrorState, Codes, Parts, PlcInterface, StartupFaults, TEMPERATURE_CHANNEL_COUNT,
+    TransmitState, reference_store, retained_ram,
 };
 
 use defmt_semihosting as _;
@@ -64,7 +64,7 @@ static ANNOUNCED_BLOCKS: AtomicU32 = AtomicU32::new(0);
 /// The sample clock, for the time stamps of frames.
 static NOW_MS: AtomicU32 = AtomicU32::new(0);
 /// The block that `DMA2_STREAM0` is about to take.
-static RECEIVED_BLOCK: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
+static RECEIVED_BLOCK: Mutex<RefCell<Option<(Codes, Block)>>> = Mutex::new(RefCell::new(None));
 /// Frames that `CAN1_RX0` is about to take: it empties this before the next block comes.
 static CAN_RX_QUEUE: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
 const _: () = assert!(pipe::FRAMES_PER_BLOCK <= 8);
@@ -78,6 +78,11 @@ static IS_RESTART_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// A process that starts is a machine that was cold for a day, as `predict` takes it.
 pub const COLD_AT_START: bool = true;
+
+/// Raises the transmitter: no tick comes before the host sends samples, and the host may wait for an answer.
+pub fn transmit_without_tick() {
+    NVIC::pend(Interrupt::DMA2_STREAM7);
+}
 
 /// Blocks that are read at once: 4 KB.
 const MAX_BLOCKS_PER_READ: usize = 32;
@@ -199,8 +204,10 @@ fn USART2() {
 pub struct Samples;
 
 impl Samples {
-    pub fn take_block(&mut self) -> Option<Block> {
-        cortex_m::interrupt::free(|cs| RECEIVED_BLOCK.borrow(cs).take())
+    pub fn take_block(&mut self, codes: &mut Codes) -> Option<Block> {
+        let (received, block) = cortex_m::interrupt::free(|cs| RECEIVED_BLOCK.borrow(cs).take())?;
+        *codes = received;
+        Some(block)
     }
 
     /// There is no converter that could have stopped.
@@ -237,7 +244,12 @@ pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART"
 
 impl SerialOut {
     /// Sends all that waits, which `fill` gives a piece at a time, byte by byte.
-    pub fn send(&mut self, _now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
+    pub fn send(
+        &mut self,
+        _now_ms: u32,
+        _is_waiting: bool,
+        fill: impl FnMut(&mut [u8]) -> usize,
+    ) -> TransmitState {
         self.transmit_polled(fill)
     }
 
@@ -395,13 +407,10 @@ impl Idle {
                 received |= from_bus.push_back(frame).is_ok();
             }
             IS_SWITCH_CLOSED.store(block.service_switch, Ordering::Relaxed);
-            let codes: [_; CODES_PER_BLOCK] = block.codes;
+            let codes: Codes = block.codes;
             let temperatures: Option<[_; TEMPERATURE_CHANNEL_COUNT]> = Some(block.temperatures);
-            RECEIVED_BLOCK.borrow(cs).replace(Some(Block {
-                codes,
-                speed: block.speed,
-                temperatures,
-            }));
+            let rest = Block { speed: block.speed, temperatures };
+            RECEIVED_BLOCK.borrow(cs).replace(Some((codes, rest)));
         });
         if received {
             trigger_interrupt(|| NVIC::pend(Interrupt::CAN1_RX0));

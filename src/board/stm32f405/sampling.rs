@@ -41,7 +41,7 @@ use stm32f4xx_hal::{
 use trueup_core::units::AdcCode;
 
 use super::{
-    super::{Block, CODES_PER_BLOCK},
+    super::{Block, CODES_PER_BLOCK, Codes},
     poll_until,
 };
 
@@ -177,9 +177,9 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Returns the block that is complete. `None`: there is none, or one was lost; then the chain has
+    /// Returns the block that is complete, its codes in `codes`. `None`: there is none, or one was lost; then the chain has
     /// been restarted, so that the next block is whole.
-    pub fn take_block(&mut self) -> Option<Block> {
+    pub fn take_block(&mut self, codes: &mut Codes) -> Option<Block> {
         let status = self.chain.dma.lisr().read();
         self.clear_flags();
         let overrun = self.chain.adc.sr().read().ovr().is_overrun();
@@ -187,14 +187,14 @@ impl Samples {
         if !failed && status.tcif0().is_not_complete() {
             return None;
         }
-        let codes = self.copy_complete_buffer();
+        self.copy_complete_buffer(codes);
         if failed || self.is_late() {
             self.count_lost_block();
             self.arm();
             return None;
         }
         self.taken = self.taken.wrapping_add(u32::from(DMA_BLOCK_LENGTH));
-        Some(Block { codes, speed: None, temperatures: None })
+        Some(Block { speed: None, temperatures: None })
     }
 
     /// Returns the last code of the chip's internal reference; `None` before the first.
@@ -217,16 +217,17 @@ impl Samples {
         self.arm();
     }
 
-    /// Returns the buffer that the DMA is not filling.
-    fn copy_complete_buffer(&self) -> [AdcCode; CODES_PER_BLOCK] {
+    /// Copies the buffer that the DMA is not filling.
+    fn copy_complete_buffer(&self, codes: &mut Codes) {
         let filling_first = self.chain.dma.st(0).cr().read().ct().is_memory0();
         let complete = &DMA_BUFFERS[usize::from(filling_first)];
         // The codes are read after the flag that says they are there, and before the count that
         // says they still were.
         fence(Ordering::SeqCst);
-        let codes = core::array::from_fn(|n| AdcCode(complete[n].load(Ordering::Relaxed)));
+        for (place, code) in codes.iter_mut().zip(complete) {
+            *place = AdcCode(code.load(Ordering::Relaxed));
+        }
         fence(Ordering::SeqCst);
-        codes
     }
 
     /// Returns whether the DMA may by now be writing into the buffer that was just copied: two blocks'

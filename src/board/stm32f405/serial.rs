@@ -152,7 +152,12 @@ pub struct SerialOut {
 impl SerialOut {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
     /// for more. Where the DMA is dead nothing is taken: it is for [`Self::transmit_polled`].
-    pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
+    pub fn send(
+        &mut self,
+        now_ms: u32,
+        is_waiting: bool,
+        fill: impl FnMut(&mut [u8]) -> usize,
+    ) -> TransmitState {
         let Some(outgoing) = &mut self.outgoing else { return TransmitState::MorePending };
         if outgoing.is_progressing() {
             self.moved_ms = now_ms;
@@ -168,6 +173,9 @@ impl SerialOut {
             return TransmitState::Busy;
         }
         self.moved_ms = now_ms;
+        if !is_waiting {
+            return TransmitState::Idle;
+        }
         if outgoing.send(fill) == 0 { TransmitState::Idle } else { TransmitState::Busy }
     }
 

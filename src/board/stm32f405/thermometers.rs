@@ -206,7 +206,7 @@ impl ErrorType for SelectedConverter<'_> {
 }
 
 impl SpiDevice for SelectedConverter<'_> {
-    /// One selection.
+    /// One selection, of one exchange: the driver makes no other. What it does not make gets no answer.
     // Once in the image: every step of a converter comes here.
     #[inline(never)]
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), SpiBusError> {
@@ -214,7 +214,12 @@ impl SpiDevice for SelectedConverter<'_> {
         let _empty = poll_until(2, || self.spi.read_nonblocking().is_err());
         let Ok(()) = OutputPin::set_low(self.select);
         cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
-        let answered = operations.iter_mut().all(|operation| self.perform_operation(operation));
+        let answered = match operations {
+            [Operation::TransferInPlace(bytes)] => {
+                bytes.iter_mut().all(|byte| self.exchange_byte(byte))
+            }
+            _ => false,
+        };
         cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
         let Ok(()) = OutputPin::set_high(self.select);
         cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
@@ -223,34 +228,6 @@ impl SpiDevice for SelectedConverter<'_> {
 }
 
 impl SelectedConverter<'_> {
-    fn perform_operation(&mut self, operation: &mut Operation<'_, u8>) -> bool {
-        match operation {
-            Operation::TransferInPlace(bytes) => {
-                bytes.iter_mut().all(|byte| self.exchange_byte(byte))
-            }
-            Operation::Read(bytes) => bytes.iter_mut().all(|byte| {
-                *byte = 0;
-                self.exchange_byte(byte)
-            }),
-            Operation::Write(bytes) => {
-                bytes.iter().all(|byte| self.exchange_byte(&mut byte.clone()))
-            }
-            Operation::Transfer(read, write) => {
-                let longer = read.len().max(write.len());
-                (0..longer).all(|n| {
-                    let mut byte = write.get(n).copied().unwrap_or_default();
-                    let answered = self.exchange_byte(&mut byte);
-                    if let Some(place) = read.get_mut(n) {
-                        *place = byte;
-                    }
-                    answered
-                })
-            }
-            // This device does not wait: a request for a pause gets no answer.
-            Operation::DelayNs(_) => false,
-        }
-    }
-
     /// One byte each way. An error of the bus, too, is an answer that did not come.
     fn exchange_byte(&mut self, byte: &mut u8) -> bool {
         poll_until(MAX_BYTE_POLLS, || self.spi.write_nonblocking(*byte).is_ok())

@@ -16,7 +16,7 @@ use crate::{
     event::{DetectedEvent, EventAction, format_timestamp},
     event_monitor::detect_events,
     file_update::{MIN_RELATIVE_CHANGE, applied_values, apply_values_to_source},
-    filter_history::{self, FilterHistory, corrected_reading_um},
+    filter_history::{FilterHistory, corrected_reading_um},
     learnable_constants::{self, Sensitivity},
     learner_notes::{describe_applied_model, describe_reached_bound},
     learner_state::{DailyChange, LearnerState, StoredReading, format_hash},

@@ -113,7 +113,7 @@ pub struct ExcludedCode {
 /// A function that a turn calls once, though a loop or several paths have it.
 #[derive(Clone, Copy, Debug)]
 pub struct CalledOnceFunction {
-    /// Part of the function's name.
+    /// Part of the function's name; of several that share the calls, with `|` between them.
     pub function: &'static str,
     /// Microseconds between two calls in the long run, at the least, of all callers together.
     pub period_us: f64,

@@ -48,25 +48,14 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         AtMost(2),
         EXCLUSIVE_STORE_REASON,
     ),
-    loop_bound(
-        "app::can_receive",
-        "while let Some(frame)",
-        AtMost(3),
-        "a FIFO of 3 (RM0090 32.7.4)",
-    ),
+    loop_bound("app::can_receive", "while let Some(frame)", AtMost(3), "a FIFO of 3 (RM0090)"),
     loop_bound("RxStream::read", "", PerWaitingByte, "the ring of the DMA"),
     loop_bound("byte_queue::Reader", "", PerWaitingByte, "the queue of bytes"),
-    loop_bound("app::modbus_line", "enqueue", AtMost(2), "a byte received, one on the line"),
     loop_bound("app::modbus", "while let Some(received)", PerWaitingByte, "the queue of bytes"),
-    loop_bound(
-        "app::modbus",
-        "for byte in &*it.response",
-        AtMost(61),
-        "the longest answer, `ANSWER`",
-    ),
-    loop_bound("CanOut::send", "if !self.on_the_bus", AtMost(2), "the frames of a tick, `Frames`"),
+    loop_bound("plc::queue_answer", "", AtMost(61), "the longest answer, `ANSWER`"),
     loop_bound("Port::send_all", "", AtMost(2), "the frames of a tick, `Frames`"),
     loop_bound("encode_line_bytes", "", AtMost(8), "the bytes of a frame"),
+    loop_bound("Port::queue", "", AtMost(22), "the line of a frame, `MAX_FRAME_LINE_LEN`"),
     loop_bound("slcan::LineParser::parse_data", "", AtMost(8), "the bytes of a frame"),
     loop_bound("slcan::LineParser::expect_end", "", AtMost(30), "a line, `MAX_LINE_LEN`"),
     // The board.
@@ -93,13 +82,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "a word each",
     ),
     loop_bound("LinearInputs::read_means", "", AtMost(125), "`MAX_CODES_PER_CHANNEL`"),
-    loop_bound(
-        "SelectedConverter::perform_operation",
-        "",
-        AtMost(9),
-        "its registers, and the first byte",
-    ),
-    loop_bound("SpiDevice>::transaction", "", AtMost(2), "the operations of one selection"),
+    loop_bound("SpiDevice>::transaction", "", AtMost(9), "its registers, and the first byte"),
     loop_bound("SerialOut::transmit_polled", "", AtMost(16), "`MAX_POLLED_BYTES`, `serial.rs`"),
     // The store.
     loop_bound(
@@ -114,12 +97,6 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         Length { argument: 3, per: 1, more: 0 },
         "a byte each",
     ),
-    loop_bound(
-        "write_log::machine_identity_crc",
-        "",
-        AtMost(96),
-        "the names of a machine and a board",
-    ),
     loop_bound("retained_state::save", "", AtMost(2), "two copies"),
     loop_bound("retained_state::encode", "", AtMost(21), "`MAX_LAGS`, `core/src/retained_lags.rs`"),
     loop_bound("crc32::update_table", "", Length { argument: 2, per: 1, more: 0 }, "a byte each"),
@@ -133,12 +110,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("lag::Lag::follow", "", AtMost(32), "a bit of the number of steps in each round"),
     loop_bound("MachineThermalState::retained_lags", "", AtMost(4), "three axes and the spindle"),
     loop_bound("thermal_state::temperatures_agree", "", AtMost(8), "the thermometers, `CHANNELS`"),
-    loop_bound(
-        "thermal::ThermalExpansionLaw::evaluate",
-        "",
-        AtMost(16),
-        "halves at most 2¹⁶ pieces",
-    ),
+    loop_bound("thermal::ThermalExpansionLaw::evaluate", "", AtMost(16), "halves 2¹⁶ pieces"),
     loop_bound("ThermalExpansionLaw::depends_on_position", "", AtMost(64), "the pieces of a law"),
     loop_bound(
         "SourceAgreementMonitor::step",
@@ -165,10 +137,16 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "at most 32 tools (`MAX_TOOLS`, `core/src/design_parameters.rs`)",
     ),
     loop_bound(
-        "CachedErrors::update_axis_position",
+        "CachedErrors::update_guides",
         "STRAIGHTNESS_INDICES_BY_AXIS",
         AtMost(3),
         "the two guides of an axis, and once to come to their list",
+    ),
+    loop_bound(
+        "CachedErrors::update_axis_positions",
+        "in LinearAxis::ALL",
+        AtMost(3),
+        "the axes, `LinearAxis::ALL`",
     ),
     loop_bound(
         "CachedVolumetricErrors::compute_errors",
@@ -240,15 +218,10 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound(
         "extend_from_slice",
         "",
-        AtMost(260),
-        "the longest answer, `MAX_FRAME_BYTES`, `modbus/src/server.rs`",
+        AtMost(61),
+        "the longest answer: no more registers are read than the longest block has (`MAX_BLOCK_REGISTERS`, `modbus/src/server.rs`)",
     ),
-    loop_bound(
-        "VecInner<T,LenT,S>::resize",
-        "",
-        AtMost(260),
-        "`MAX_FRAME_BYTES`, `modbus/src/server.rs`",
-    ),
+    loop_bound("VecInner<T,LenT,S>::resize", "", AtMost(61), "as `extend_from_slice`"),
     loop_bound(
         "u64_div_rem",
         "",
@@ -325,14 +298,7 @@ const COPY_LENGTH_BOUNDS: &[CopyLengthBound] = &[
         240,
         "what waits in the port, `TX_CAPACITY`, without a piece: that of `poll` is 16",
     ),
-    copy_length_bound("Port::queue", "", 22, "the line of a frame, `MAX_FRAME_LINE_LEN`"),
     copy_length_bound("Frame::new", "", 8, "the bytes of a frame"),
-    copy_length_bound(
-        "write_log::machine_identity_crc",
-        "",
-        96,
-        "the names of a machine and a board, `core/src/names.rs`",
-    ),
     copy_length_bound("upload_segment", "", 7, "a segment of SDO"),
     copy_length_bound("download_segment", "", 7, "a segment of SDO"),
     copy_length_bound("calibration_load::LoadSlot::append", "", 7, "a segment of SDO"),
@@ -419,6 +385,7 @@ const LINE_END_EXCLUSIONS: &[ExcludedCode] = &[
     excluded_code("Port::receive", "self.reply", "a line is answered at its end"),
     excluded_code("Port::receive", "malformed", "a line is refused at its end"),
     excluded_code("Port::receive", "self.queue_reply", "a line is refused at its end"),
+    excluded_code("app::listen", "port.receive_line", "a line is answered at its end"),
     excluded_code("app::listen", "node.receive", "a frame is a line"),
 ];
 
@@ -430,23 +397,49 @@ const CALLED_ONCE_FUNCTIONS: &[CalledOnceFunction] = &[
         reason: "a CNC sends one `Control` in 10 ms, a PLC one in a block",
     },
     CalledOnceFunction {
-        function: "sdo::ObjectAccess for trueup_node::node::Node>::write",
+        function: "sdo::ObjectAccess for trueup_node::node::Node>::read|sdo::ObjectAccess for trueup_node::node::Node>::write\
+                   |sdo::ObjectAccess for trueup_node::node::Node>::open",
         period_us: 2_000.0,
         burst: 0,
-        reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
+        reason: "an SDO request uses one entry, and its client waits for the answer: one is sent every 2 ms",
     },
     CalledOnceFunction {
-        function: "sdo::ObjectAccess for trueup_node::node::Node>::read",
+        function: "sdo::find_entry",
         period_us: 2_000.0,
         burst: 0,
-        reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
+        reason: "once a request, as above",
+    },
+    CalledOnceFunction {
+        function: "Bridge>::update_axis_position",
+        period_us: 2_000.0 / 3.0,
+        burst: 3,
+        reason: "once an axis in 2 ticks (`ERROR_UPDATE_PERIOD_MS`, `core/src/bridge.rs`): all three at once, and again in 1.4 ms where a \
+                 tick was late",
+    },
+    CalledOnceFunction {
+        function: "Bridge>::update_angles",
+        period_us: 2_000.0,
+        burst: 1,
+        reason: "once in 2 ticks, as `update_axis_position`",
+    },
+    CalledOnceFunction {
+        function: "server::handle_request",
+        period_us: 1_750.0,
+        burst: 1,
+        reason: "a frame ends with a silence of 1.75 ms (`FrameTiming`, `modbus/src/rtu.rs`), and one may have begun before",
+    },
+    CalledOnceFunction {
+        function: "plc::queue_answer",
+        period_us: 1_750.0,
+        burst: 1,
+        reason: "once a frame, as `server::handle_request`",
     },
     CalledOnceFunction {
         function: "serial_dma::TxStream::send",
-        period_us: 156.0,
+        period_us: 420.0,
         burst: 2,
-        reason: "a piece has what `listen`, `sample` or `service` has queued, or follows a full one: once in 0.24, 1, 2 and 1.38 ms; one \
-                 more by each of the first three where they come at once, and together they leave as one",
+        reason: "a piece has what `sample`, `service` or `supervise` has queued, or follows a full one: once in 1, 2, 10 and 1.38 ms; one \
+                 more by each of the first two where they come at once, and together they leave as one",
     },
     CalledOnceFunction {
         function: "Port::discard_front",
@@ -467,15 +460,21 @@ const CALLED_ONCE_FUNCTIONS: &[CalledOnceFunction] = &[
         reason: "two CRCs of a block, whose 43 bytes and silence take 5.8 ms at 115 200 Bd",
     },
     CalledOnceFunction {
+        function: "server::execute_request",
+        period_us: 2_500.0,
+        burst: 1,
+        reason: "8 bytes or more (`MIN_REQUEST_BYTES`, `modbus/src/server.rs`), 0.76 ms, and a silence of 1.75 ms",
+    },
+    CalledOnceFunction {
         function: "server::checksum",
-        period_us: 6_000.0,
+        period_us: 8_000.0,
         burst: 2,
-        reason: "two of a frame, by its bytes: the longest of 256 takes 24 ms at 115 200 Bd. Half of that, because a frame of 8 bytes \
-                 takes 1.1 ms and what does not grow with it counts as well",
+        reason: "two of a frame, by its bytes: the longest of 256 takes 24 ms at 115 200 Bd. A third less, because what does not grow with a \
+                 frame counts once in the 1.75 ms of its silence as well",
     },
     CalledOnceFunction {
         function: "rmodbus::calc_crc16",
-        period_us: 6_000.0,
+        period_us: 8_000.0,
         burst: 2,
         reason: "as `server::checksum`",
     },

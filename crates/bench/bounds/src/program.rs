@@ -123,7 +123,7 @@ impl<'a> Program<'a> {
     pub(crate) fn called_once_functions(&self) -> BTreeMap<u32, CalledOnceFunction> {
         let declared = |name: &str| {
             let mut once = self.declared.table.once.iter();
-            once.find(|declaration| name.contains(declaration.function)).copied()
+            once.find(|one| one.function.split('|').any(|part| name.contains(part))).copied()
         };
         let all = self.image.functions();
         all.filter_map(|function| Some((function.start, declared(&function.name)?))).collect()

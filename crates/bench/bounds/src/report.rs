@@ -17,7 +17,7 @@ use crate::{
     program::Program,
     response_time::{self, CoreOverhead, TaskLoad},
     source_code::SourceCode,
-    tasks::{self, Task},
+    tasks::{self, ByteArrivals, Task},
     wcet::WcetAnalysis,
 };
 
@@ -58,6 +58,23 @@ pub struct TimingBounds {
     pub unused: Vec<String>,
     /// How many loops the code bounds, and how many the table.
     pub loops: [usize; 2],
+    /// The load of each task alone, and of each function that counts as one.
+    pub shares: Vec<LoadShare>,
+}
+
+/// The load of a task, or of a function that counts as one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadShare {
+    /// The clock's name.
+    pub clock: &'static str,
+    /// Its name.
+    pub name: String,
+    /// Its priority.
+    pub priority: u8,
+    /// Microseconds of a turn without bytes, or of a call.
+    pub empty_us: f64,
+    /// The share of the time that it may take in the long run.
+    pub share: f64,
 }
 
 /// Computes the bounds of the tasks of an app (the text of `src/main.rs`) in an image, for calibrations of these sizes.
@@ -76,12 +93,19 @@ pub fn compute_timing_bounds(
     let functions = all_tasks.iter().filter_map(|task| image.function_by_symbol(&task.interrupt));
     let entries = functions.map(|function| FunctionEntry::new(function.start));
     program.find_ram_arguments(&entries.collect::<Vec<_>>());
-    let mut all = Vec::new();
+    let (mut all, mut shares) = (Vec::new(), Vec::new());
     for clock in CLOCK_CONFIGURATIONS {
         let tasks: Vec<Task> =
             all_tasks.iter().filter(|task| task.is_active_at(clock.mhz)).cloned().collect();
         let exceptions = exception_numbers(image, &tasks)?;
         let (loads, turns) = task_loads(&program, image, &tasks, clock)?;
+        shares.extend(loads.iter().map(|load| LoadShare {
+            clock: clock.name,
+            name: load.name.clone(),
+            priority: load.priority,
+            empty_us: load.empty as f64 / f64::from(clock.mhz),
+            share: load.utilisation(CoreOverhead::for_clock(&clock)),
+        }));
         all.extend(tasks.iter().enumerate().map(|(number, task)| {
             let deadline_us = task.deadline_us(clock.mhz);
             let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
@@ -117,6 +141,7 @@ pub fn compute_timing_bounds(
         problems: program.missing_flow_facts(),
         unused: program.unused_declarations(),
         loops,
+        shares,
     })
 }
 
@@ -130,6 +155,13 @@ fn exception_numbers(image: &FirmwareImage, tasks: &[Task]) -> Result<Vec<u32>> 
     tasks.iter().map(number).collect()
 }
 
+/// Functions that share a rate, as a load.
+struct RatedLoad {
+    load: TaskLoad,
+    /// Their addresses.
+    starts: BTreeSet<u32>,
+}
+
 /// The tasks in cycles on a clock, and behind them the functions that are called once in a while, as tasks of their own;
 /// the longest turn of each task.
 fn task_loads(
@@ -141,7 +173,8 @@ fn task_loads(
     let for_bytes_within_line = program.with_bytes_within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
     let (mut entries, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
-    let mut seldom: BTreeMap<u32, TaskLoad> = BTreeMap::new();
+    // By the declaration: functions of the same one share its rate.
+    let mut seldom: BTreeMap<&'static str, RatedLoad> = BTreeMap::new();
     let mut sections: BTreeMap<(FunctionEntry, BTreeSet<u32>), Vec<CriticalSection>> =
         BTreeMap::new();
     let rates = program.called_once_functions();
@@ -152,28 +185,27 @@ fn task_loads(
         })?;
         let entry = FunctionEntry::new(function.start);
         let waiting = task.bytes.map(|bytes| bytes.waiting);
-        let (empty, _) = WcetAnalysis::task_wcet(program, clock, waiting.map(|_| 0), entry);
         let (whole, once) = WcetAnalysis::task_wcet(program, clock, waiting, entry);
+        let costs = task
+            .bytes
+            .map(|bytes| byte_costs([&for_bytes_within_line, program], clock, bytes, entry));
+        let costs = costs.unwrap_or(ByteCosts { empty: whole, each: 0, line_end: 0 });
+        let ByteCosts { empty, each, line_end } = costs;
         entries.push((entry, waiting));
-        let mut load = TaskLoad {
+        let load = TaskLoad {
+            name: task.name.clone(),
             priority: task.priority,
             period: cycles(task.period_us(clock.mhz)).max(1),
             burst: u64::from(task.is_raised),
+            jitter: 0,
             empty,
-            each: 0,
-            line_end: 0,
+            each,
+            line_end,
             line: task.bytes.map_or(1, |bytes| bytes.line.into()),
             gap: task.bytes.map_or(0, |bytes| cycles(bytes.gap_us)),
             waiting: u64::from(waiting.unwrap_or_default()),
             blocking: 0,
         };
-        if let Some(bytes) = task.bytes {
-            let count = u64::from(bytes.waiting);
-            let (within, _) =
-                WcetAnalysis::task_wcet(&for_bytes_within_line, clock, waiting, entry);
-            load.each = within.saturating_sub(empty).div_ceil(count);
-            load.line_end = (whole - empty).div_ceil(count).saturating_sub(load.each);
-        }
         // All that may come at once may do so in one turn.
         let in_a_turn =
             once.iter().map(|(start, (_, cost))| cost * u64::from(1 + rates[start].burst));
@@ -182,10 +214,17 @@ fn task_loads(
             let once = &rates[&start];
             let (period, burst) = (cycles(once.period_us), once.burst.into());
             let bytes = TaskLoad { gap: 0, waiting: 0, each: 0, line_end: 0, ..load.clone() };
-            let own = TaskLoad { period, burst, empty: cost, ..bytes };
-            let known = seldom.entry(start).or_insert_with(|| own.clone());
-            known.empty = known.empty.max(cost);
-            known.priority = known.priority.max(task.priority);
+            let name =
+                image.function_at(start).map_or_else(String::new, |function| function.name.clone());
+            let own = TaskLoad { name, period, burst, empty: cost, ..bytes };
+            let known = seldom
+                .entry(once.function)
+                .or_insert_with(|| RatedLoad { load: own.clone(), starts: BTreeSet::new() });
+            known.starts.insert(start);
+            if cost > known.load.empty {
+                (known.load.empty, known.load.name) = (cost, own.name);
+            }
+            known.load.priority = known.load.priority.max(task.priority);
         }
         loads.push(load);
     }
@@ -203,18 +242,16 @@ fn task_loads(
             all.collect()
         };
     let whole = below(&entries, &BTreeSet::new());
-    // A call that holds a task off may have begun before it, by twice the longest section where tasks above interrupt it: the
-    // next one may follow sooner by this time.
+    // A call that holds a task off may have begun before it, by twice the longest section where tasks above interrupt it: those
+    // of this time count as well.
     let begun = 2 * whole.iter().map(|section| section.cycles).max().unwrap_or(0);
-    let mut sooner: BTreeSet<u32> = BTreeSet::new();
-    for (start, load) in seldom.iter_mut().filter(|(_, load)| load.period >= 2 * begun) {
-        load.period -= begun;
-        sooner.insert(*start);
+    for rated in seldom.values_mut() {
+        rated.load.jitter = begun;
     }
     for (number, task) in tasks.iter().enumerate() {
         // What is a load of its own at this priority or above delays the task as such, wherever it is called.
-        let is_counted = |start: &u32| seldom[start].priority >= task.priority;
-        let counted: BTreeSet<u32> = sooner.iter().copied().filter(is_counted).collect();
+        let counted = seldom.values().filter(|rated| rated.load.priority >= task.priority);
+        let counted: BTreeSet<u32> = counted.flat_map(|rated| rated.starts.clone()).collect();
         let lower = tasks.iter().zip(&entries).filter(|(other, _)| other.priority < task.priority);
         let lower: Vec<_> = lower.map(|(_, entry)| *entry).collect();
         let reaching = below(&lower, &counted).into_iter();
@@ -222,8 +259,55 @@ fn task_loads(
             .filter(|section| section.ceiling.is_none_or(|ceiling| ceiling >= task.priority));
         loads[number].blocking = reaching.map(|section| section.cycles).max().unwrap_or(0);
     }
-    loads.extend(seldom.into_values());
+    loads.extend(seldom.into_values().map(|rated| rated.load));
     Ok((loads, turns))
+}
+
+/// What a turn takes by the bytes that it finds, in cycles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct ByteCosts {
+    /// Without a byte, and what the first bytes take in addition to `each`.
+    empty: u64,
+    each: u64,
+    /// A byte that ends a line, in addition.
+    line_end: u64,
+}
+
+/// Returns the costs of a task by the bytes that it finds; `programs`: where no byte ends a line, and where each does.
+fn byte_costs(
+    programs: [&Program<'_>; 2],
+    clock: ClockConfiguration,
+    bytes: ByteArrivals,
+    entry: FunctionEntry,
+) -> ByteCosts {
+    let [within, ending] = programs.map(|program| -> Vec<u64> {
+        let of = |count| WcetAnalysis::unrated_cycles(program, clock, Some(count), entry);
+        (0..=bytes.waiting).map(of).collect()
+    });
+    // Where there are no lines, each byte is as any other.
+    if bytes.line > 1 { ByteCosts::new(&within, &ending) } else { ByteCosts::new(&ending, &[]) }
+}
+
+impl ByteCosts {
+    /// Returns the costs of a task whose turn takes `within[n]` cycles for n bytes none of which ends a line, and `ending[n]` where
+    /// each does, empty where there are no lines: no turn takes more than they say.
+    ///
+    /// The first bytes may take longer than the mean, because the cache takes the loop with them; and again behind each byte that
+    /// ends a line, for what that runs may take the loop from the cache.
+    fn new(within: &[u64], ending: &[u64]) -> Self {
+        let without = within.first().copied().unwrap_or(0);
+        let count = (within.len() as u64).saturating_sub(1).max(1);
+        let each = within.last().map_or(0, |last| last.saturating_sub(without)).div_ceil(count);
+        let beyond = within
+            .iter()
+            .zip(0..)
+            .map(|(cycles, count)| cycles.saturating_sub(without).saturating_sub(each * count));
+        let first = beyond.max().unwrap_or(0);
+        let steps = ending.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
+        let line_end = steps.max().map_or(0, |longest| longest.saturating_sub(each) + first);
+        let empty = without.max(ending.first().copied().unwrap_or(0)) + first;
+        Self { empty, each, line_end }
+    }
 }
 
 impl TimingBounds {
@@ -284,7 +368,42 @@ impl TimingBounds {
                 )
                 .ok();
             }
+            writeln!(text, "\nload of its own, by priority").ok();
+            let mut own: Vec<_> =
+                self.shares.iter().filter(|share| share.clock == clock.name).collect();
+            own.sort_by_key(|share| std::cmp::Reverse(share.priority));
+            for it in own {
+                let share = 100.0 * it.share;
+                writeln!(
+                    text,
+                    "{:>4} {share:>7.1}% {:>10.1}  {}",
+                    it.priority, it.empty_us, it.name
+                )
+                .ok();
+            }
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_bytes_of_a_turn_and_those_behind_a_line_take_what_they_need() {
+        // A loop of 10 cycles a round, which the cache takes in 30, or of 20 a round without: the longest is the lower of both.
+        let within: Vec<u64> =
+            (0..=20).map(|count| 5 + (20 * count).min(30 + 10 * count)).collect();
+        let ending: Vec<u64> = (0..=20).map(|count| 5 + 90 * count).collect();
+        let costs = ByteCosts::new(&within, &ending);
+        // 230 cycles for 20 bytes are 12 each, and three bytes take 24 more than that.
+        assert_eq!(costs, ByteCosts { empty: 5 + 24, each: 12, line_end: 90 - 12 + 24 });
+        for (count, cycles) in (0..).zip(&within) {
+            assert!(costs.empty + count * costs.each >= *cycles);
+        }
+        for (count, cycles) in (0..).zip(&ending) {
+            assert!(costs.empty + count * (costs.each + costs.line_end) >= *cycles);
+        }
     }
 }

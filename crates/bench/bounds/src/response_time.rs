@@ -11,7 +11,8 @@
 //! A task of the same priority does not interrupt, but may come first: it counts as a higher one. B is the longest section
 //! of a task below whose ceiling reaches the task, once: with immediate ceilings no job waits for two. A task whose
 //! interrupt software raises may have one start more in a window, for it is raised late. Where R is longer than the
-//! period, a start waits for the turn before, and its C counts twice: interrupts that are pending do not add up.
+//! period, a start waits for the turn before, and its C counts twice: interrupts that are pending do not add up. A task that
+//! bytes start has all turns of its busy period in place of that, and each byte once.
 
 use crate::clock_configuration::{ClockConfiguration, FLASH_CACHE_LINES};
 
@@ -20,6 +21,8 @@ use crate::clock_configuration::{ClockConfiguration, FLASH_CACHE_LINES};
 pub(crate) struct CoreOverhead {
     /// Cycles of an entry and a return.
     pub switch: u64,
+    /// Cycles in which a section that holds a task off reads the lines again that the cache may have lost before it.
+    pub refill: u64,
     /// Share of the cycles that the DMA takes at the memories, in thousandths.
     pub dma_per_mille: u64,
 }
@@ -39,6 +42,7 @@ impl CoreOverhead {
         let moved = (20 + 2 * 92) * 5;
         Self {
             switch: 12 + 12 + 2 * 18 + 3 + 20 + lines + refill,
+            refill,
             dma_per_mille: moved / u64::from(clock.mhz) + 1,
         }
     }
@@ -47,12 +51,16 @@ impl CoreOverhead {
 /// A task in cycles.
 #[derive(Clone, Debug)]
 pub(crate) struct TaskLoad {
+    /// Its name, or that of a function that counts as one.
+    pub name: String,
     /// Its priority.
     pub priority: u8,
     /// Cycles between two starts, at the least.
     pub period: u64,
     /// Starts that may come at once in addition to those of the period.
     pub burst: u64,
+    /// Cycles by which a start may be older than the window that it counts in.
+    pub jitter: u64,
     /// Cycles of a turn that finds no byte.
     pub empty: u64,
     /// Cycles of each byte that it finds.
@@ -93,7 +101,7 @@ impl TaskLoad {
 
     /// Cycles that it may take within a window.
     fn demand_cycles(&self, window: u64, switch: u64) -> u64 {
-        let starts = window.div_ceil(self.period) + self.burst;
+        let starts = (window + self.jitter).div_ceil(self.period) + self.burst;
         let bytes = window.checked_div(self.gap).map_or(0, |bytes| bytes + 1 + self.waiting);
         let bytes = bytes.min(starts * self.waiting);
         starts * (self.empty + switch) + self.byte_cycles(bytes)
@@ -117,9 +125,10 @@ pub(crate) fn worst_case_response_cycles(
     core: CoreOverhead,
     limit: u64,
 ) -> Option<u64> {
-    let CoreOverhead { switch, dma_per_mille } = core;
+    let CoreOverhead { switch, refill, dma_per_mille } = core;
     let own = &tasks[number];
-    let mut response = own.worst_case_cycles() + switch + own.blocking;
+    let blocking = if own.blocking > 0 { own.blocking + refill } else { 0 };
+    let mut response = own.worst_case_cycles() + switch + blocking;
     loop {
         let others = tasks
             .iter()
@@ -130,7 +139,13 @@ pub(crate) fn worst_case_response_cycles(
         let came = response.checked_div(own.gap).map_or(0, |bytes| bytes + 1);
         let turn = own.empty + own.byte_cycles(own.waiting + came) + switch;
         let again = if response > own.period { turn } else { 0 };
-        let sum = turn + own.blocking + above + again;
+        // Where bytes start the task, they count once in however many turns: the response ends with the busy period at the latest.
+        let turns = if own.waiting > 0 {
+            own.demand_cycles(response, switch).max(turn)
+        } else {
+            turn + again
+        };
+        let sum = turns + blocking + above;
         let next = sum + sum * dma_per_mille / 1_000;
         if next > limit {
             return None;
@@ -148,9 +163,11 @@ mod tests {
 
     fn task(priority: u8, period: u64, cycles: u64, blocking: u64) -> TaskLoad {
         TaskLoad {
+            name: String::new(),
             priority,
             period,
             burst: 0,
+            jitter: 0,
             empty: cycles,
             each: 0,
             line_end: 0,
@@ -161,7 +178,7 @@ mod tests {
         }
     }
 
-    const IDEAL: CoreOverhead = CoreOverhead { switch: 0, dma_per_mille: 0 };
+    const IDEAL: CoreOverhead = CoreOverhead { switch: 0, refill: 0, dma_per_mille: 0 };
 
     #[test]
     fn the_lowest_of_three_waits_for_all_starts_above() {
@@ -177,11 +194,21 @@ mod tests {
             worst_case_response_cycles(
                 &held,
                 1,
-                CoreOverhead { switch: 10, dma_per_mille: 100 },
+                CoreOverhead { switch: 10, refill: 0, dma_per_mille: 100 },
                 9_000
             ),
             Some(6_622)
         );
+    }
+
+    #[test]
+    fn the_response_of_a_task_that_bytes_start_ends_with_its_busy_period() {
+        let line = TaskLoad { gap: 100, waiting: 4, each: 10, ..task(1, 50, 1, 0) };
+        // Two starts, the four bytes that waited and one that came: not the same bytes in the turn before as well.
+        let alone = [line.clone()];
+        assert_eq!(worst_case_response_cycles(&alone, 0, IDEAL, 1_000), Some(2 + 5 * 10));
+        let both = [task(2, 100, 30, 0), line];
+        assert_eq!(worst_case_response_cycles(&both, 1, IDEAL, 1_000), Some(30 + 2 + 5 * 10));
     }
 
     #[test]
@@ -200,7 +227,12 @@ mod tests {
         );
         assert!((lines.utilisation(IDEAL) - (0.02 + (10.0 + 7.0 / 3.0) / 100.0)).abs() < 1e-12);
         // A start that may come at once with another one.
-        assert_eq!(TaskLoad { burst: 1, ..lines }.demand_cycles(200, 0), 5 + 7 * 10 + 3 * 7);
+        assert_eq!(
+            TaskLoad { burst: 1, ..lines.clone() }.demand_cycles(200, 0),
+            5 + 7 * 10 + 3 * 7
+        );
+        // One that has begun before.
+        assert_eq!(TaskLoad { jitter: 1, ..lines }.demand_cycles(200, 0), 5 + 7 * 10 + 3 * 7);
         let seldom = TaskLoad { period: 1_000, ..line.clone() };
         assert_eq!(seldom.utilisation(IDEAL), 1.0 / 1_000.0 + 4.0 * 10.0 / 1_000.0);
         // Those below do not count.

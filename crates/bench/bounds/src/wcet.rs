@@ -56,6 +56,18 @@ impl<'a> WcetAnalysis<'a> {
         Self { free, ..self }
     }
 
+    /// Returns the cycles of a turn of a task without the functions that it calls once.
+    #[must_use]
+    pub(crate) fn unrated_cycles(
+        program: &'a Program<'a>,
+        clock: ClockConfiguration,
+        waiting: Option<u32>,
+        entry: FunctionEntry,
+    ) -> u64 {
+        let once: BTreeSet<u32> = program.called_once_functions().into_keys().collect();
+        Self::new(program, clock, waiting).with_zero_cost_functions(once).function_cycles(entry)
+    }
+
     /// Returns the cycles of a turn of a task without the functions that it calls once, and those of each of these, with the
     /// arguments that take the longest. One that another calls is counted for itself.
     #[must_use]

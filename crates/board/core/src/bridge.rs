@@ -31,15 +31,16 @@
 //!
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
-//! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,658
-//! instructions (median; 2,173 where the spindle speed has changed and a part of the heat is
-//! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
-//! follows a message adds it up ([`CachedErrors::sum_parts`](crate::axis_errors::CachedErrors::sum_parts), 374), once for all positions and angles that came:
+//! direction when the angles are, each at most once in [`ERROR_UPDATE_PERIOD_MS`] and else in the next tick;
+//! expansion once in 100 ms. On the gantry of `data/`, all axes on their way at the slew limit, `cargo measure`
+//! counts for a whole tick of the node 1,669 instructions (median; 2,194 where the spindle speed has changed and a
+//! part of the heat is stepped; the sources are asked what they would say in a millisecond of their own). With a
+//! volume the tick that follows a message adds it up
+//! ([`CachedErrors::sum_parts`](crate::axis_errors::CachedErrors::sum_parts), 374), once for all positions and angles that came:
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check_codes) | 304 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 497 |
+//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check_codes) | 294 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 444 |
 //! | [`Filter::tick`](crate::run_out_filter::RunOutFilter::tick) | 300 | angles: [`Kinematics::tool_direction`](crate::kinematics::Kinematics::tool_direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::displacement_sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`RevolutionWindow::for_speed`](crate::revolution_window::RevolutionWindow::for_speed) | 49 |
 //! | [`AppliedOffset::step`](crate::limits::AppliedOffset::step) | 180 | | |
@@ -60,6 +61,7 @@ mod state;
 
 pub use self::bumpless_transfer::RetainedTransfer;
 use self::bumpless_transfer::SelectedSource;
+use self::cached_errors::ErrorInput;
 pub use self::conditions::CONDITIONS_TIMEOUT_FACTOR;
 pub use self::lost_inputs::LostInputs;
 use self::required_inputs::RequiredInputs;
@@ -108,6 +110,10 @@ pub struct TickInput<'a> {
     /// The readings of the temperature channels; `None` where nothing new came.
     pub temperatures: Option<&'a RawTemperatures>,
 }
+
+/// Minimum time between two computations on reception of the errors that depend on the same input: the cycle of a fast CNC. For
+/// further messages the tick computes them. The bounds of time rest on this (`cargo xtask bounds`).
+pub const ERROR_UPDATE_PERIOD_MS: u32 = 2;
 
 /// The millisecond of each 100 in which the sources are asked, after temperatures and heat have had theirs.
 const SOURCE_SELECTION_PHASE: usize = TEMPERATURE_CHANNEL_COUNT + thermal_state::THERMAL_ITEM_COUNT;
@@ -169,7 +175,7 @@ impl<'a> Bridge<'a> {
                 if let Some(axis) = self.calibration.axes.get(received.axis as usize)
                     && state.receive_position(received, axis)
                 {
-                    self.update_axis_position(state, received.axis);
+                    self.update_or_defer(state, ErrorInput::Axis(received.axis));
                 }
             }
         }

@@ -33,7 +33,9 @@ use rmodbus::{
 
 use crate::{
     holding_block, input_block,
-    register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN, WORD_ORDER_ADDRESS, WORD_ORDER_PATTERN},
+    register_map::{
+        HOLDING_LEN, INPUT_LEN, WHOLE_HOLDING_LEN, WORD_ORDER_ADDRESS, WORD_ORDER_PATTERN,
+    },
 };
 
 /// The largest frame: 253 bytes of a request, the header of TCP before them.
@@ -50,6 +52,19 @@ const WRITE_MULTIPLE_REGISTERS: u8 = 16;
 /// The most registers that one request reads, or writes.
 const MAX_READ_REGISTERS: u16 = 125;
 const MAX_WRITE_REGISTERS: u16 = 123;
+/// Registers of the longest block. A longer read is refused before its answer gets room: the bounds of time rest on this (`cargo
+/// xtask bounds`).
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "at most `MAX_READ_REGISTERS`, which is asserted"
+)]
+const MAX_BLOCK_REGISTERS: u16 = {
+    let longest = if INPUT_LEN > WHOLE_HOLDING_LEN { INPUT_LEN } else { WHOLE_HOLDING_LEN };
+    assert!(longest >= WORD_ORDER_PATTERN.len() && longest <= MAX_READ_REGISTERS as usize);
+    longest as u16
+};
+/// Bytes of the shortest serial request that is executed: unit, function, address, length, checksum.
+pub const MIN_REQUEST_BYTES: usize = 8;
 
 /// Without a table, which would be half a kilobyte of a board's flash.
 static MODBUS_CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
@@ -104,6 +119,8 @@ enum ExceptionCode {
 }
 
 /// Answers one whole frame, addressed to `unit`. Whether there is an answer to send.
+// A function of its own in the image: its time is bounded by the silence before each frame (`cargo xtask bounds`).
+#[inline(never)]
 pub fn handle_request(
     transport: Transport,
     unit: u8,
@@ -158,10 +175,10 @@ fn validate_pdu(pdu: &[u8]) -> Result<(), ExceptionCode> {
     match *pdu {
         [READ_HOLDING_REGISTERS | READ_INPUT_REGISTERS, _, _, high, low] => {
             let count = u16::from_be_bytes([high, low]);
-            if (1..=MAX_READ_REGISTERS).contains(&count) {
-                Ok(())
-            } else {
-                Err(ExceptionCode::Value)
+            match count {
+                1..=MAX_BLOCK_REGISTERS => Ok(()),
+                ..=MAX_READ_REGISTERS if count > 0 => Err(ExceptionCode::Address),
+                _ => Err(ExceptionCode::Value),
             }
         }
         [WRITE_MULTIPLE_REGISTERS, _, _, high, low, bytes, ref data @ ..] => {
@@ -179,6 +196,8 @@ fn validate_pdu(pdu: &[u8]) -> Result<(), ExceptionCode> {
 }
 
 /// Reads or writes, and puts the answer together.
+// A function of its own in the image: its time is bounded by the bytes of a request (`cargo xtask bounds`).
+#[inline(never)]
 fn execute_request(
     transport: Transport,
     unit: u8,

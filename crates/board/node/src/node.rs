@@ -33,7 +33,7 @@ use trueup_link::{
 use trueup_store::{
     calibration::calibration_crc,
     calibration_load::{LoadBuffer, LoadOutcome, LoadSlot},
-    write_log::WriteKind,
+    write_log::{WriteKind, machine_identity_crc},
 };
 
 use crate::{
@@ -100,6 +100,8 @@ pub struct Node<'a> {
     registers: RegisterExchange,
     /// The blob of the running calibration.
     blob: &'a [u8],
+    /// Its machine and board, as [`machine_identity_crc`] has them.
+    identity: u32,
     slot: LoadSlot<'a>,
     /// CRC of the calibration that is stored for the next start; 0: none was loaded.
     new_crc: u32,
@@ -175,12 +177,14 @@ impl<'a> Node<'a> {
             writes,
         } = configuration;
         let bridge = calibration.map(Bridge::new);
+        let names = bridge.as_ref().map(|bridge| bridge.calibration().names).unwrap_or_default();
         let mut state = bridge
             .as_ref()
             .map_or_else(bridge::BridgeState::without_calibration, Bridge::initial_state);
         // The engage sequence is not complete.
         state.set_inhibited(true);
         Self {
+            identity: machine_identity_crc(&names),
             bridge,
             state,
             receiver: CncReceiver::default(),

@@ -28,10 +28,17 @@ impl Bridge<'_> {
             return;
         }
         let received = &mut state.conditions;
-        let is_new = received.by_default || received.last != Some(conditions);
-        *received = ReceivedConditions { last: Some(conditions), age_ms: 0, by_default: false };
-        if is_new {
-            self.apply_conditions(state, Some(conditions));
+        let is_changed =
+            received.is_changed || received.by_default || received.last != Some(conditions);
+        let last = Some(conditions);
+        *received = ReceivedConditions { last, age_ms: 0, by_default: false, is_changed };
+    }
+
+    /// Applies the conditions that were last received to the terms: once for all messages since the last tick.
+    pub(super) fn apply_received_conditions(&self, state: &mut BridgeState) {
+        if core::mem::take(&mut state.conditions.is_changed) {
+            let last = state.conditions.last;
+            self.apply_conditions(state, last);
         }
     }
 
@@ -50,9 +57,11 @@ impl Bridge<'_> {
     #[inline]
     fn step_required_conditions(&self, state: &mut BridgeState, elapsed_ms: u32) -> bool {
         state.conditions.advance_ages(elapsed_ms);
+        // The one or the other: a tick has the time for one choice of a category (`cargo xtask bounds`).
         if self.are_conditions_lost(state) {
             return self.fall_back_to_default_conditions(state);
         }
+        self.apply_received_conditions(state);
         state.conditions.last.is_some()
     }
 
@@ -60,7 +69,7 @@ impl Bridge<'_> {
     #[inline(never)]
     fn fall_back_to_default_conditions(&self, state: &mut BridgeState) -> bool {
         if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
-            state.conditions.by_default = true;
+            (state.conditions.by_default, state.conditions.is_changed) = (true, false);
             self.apply_conditions(state, None);
         }
         state.conditions.by_default

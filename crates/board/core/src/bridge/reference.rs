@@ -14,6 +14,7 @@ impl Bridge<'_> {
         {
             return false;
         }
+        self.apply_received_conditions(state);
         self.clear_source_shift(state);
         let axes = self.axis_errors(state).sums;
         let reference = ReferenceErrors { elongation: self.elongation(state), axes };

@@ -1,23 +1,39 @@
 //! The angles of the rotary axes: the tool direction and the errors of the volume depend on them.
 
-use super::{Bridge, state::BridgeState};
+use super::{Bridge, cached_errors::ErrorInput, state::BridgeState};
 use crate::units::MicroDegrees;
 
 impl Bridge<'_> {
     /// Takes angles from the CNC. The direction and the errors are computed when they have changed.
     pub(super) fn receive_angles(&self, state: &mut BridgeState, angles: [MicroDegrees; 2]) {
-        let kinematics = &self.calibration.kinematics;
-        let direction = match state.tool.latest() {
-            Some((known, direction)) if known == angles => direction,
-            _ if self.needs.rotary => kinematics.tool_direction(angles),
-            _ => kinematics.zero,
-        };
-        state.receive_angles(angles, direction);
-        if self.needs.volume_angles && state.place.angles != angles {
-            state.place.angles = angles;
-            self.update_errors(state, |errors, _, place| {
-                errors.update_rotary_angles(&self.calibration, place)
-            });
+        if state.receive_angles(angles, self.calibration.kinematics.zero) {
+            self.update_or_defer(state, ErrorInput::Angles);
         }
+    }
+
+    /// Computes what depends on the angles, on reception.
+    // A function of its own in the image: its time is bounded by how often it is called (`cargo xtask bounds`), which `update_or_defer`
+    // limits.
+    #[inline(never)]
+    pub(super) fn update_angles(&self, state: &mut BridgeState) {
+        if self.compute_angles(state) {
+            state.error_sums = None;
+        }
+    }
+
+    /// Computes the direction of the tool and the errors of the rotary axes at the angles that were last received. Returns whether
+    /// these errors have changed.
+    pub(super) fn compute_angles(&self, state: &mut BridgeState) -> bool {
+        let Some((angles, direction)) = state.tool_mut() else { return false };
+        let angles = *angles;
+        if self.needs.rotary {
+            *direction = self.calibration.kinematics.tool_direction(angles);
+        }
+        let has_turned = self.needs.volume_angles && state.place.angles != angles;
+        if has_turned {
+            state.place.angles = angles;
+            state.errors.update_rotary_angles(&self.calibration, &state.place);
+        }
+        has_turned
     }
 }

@@ -7,6 +7,7 @@ use crate::{
     cnc::{AxisPosition, Control, MachineConditions, SpindleState},
     dead_band_filter::DeadBandFilter,
     design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    index_set::IndexSet,
     learned::LearnedChanges,
     limits::AppliedOffset,
     machine_position::MachinePosition,
@@ -82,8 +83,12 @@ pub struct BridgeState {
     pub(super) heat: MachineThermalState,
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,
-    /// The errors of the axes as they are now.
+    /// The errors of the axes as they are now, without what is in [`Self::deferred`].
     pub(super) errors: CachedErrors,
+    /// When what depends on each axis, and on the angles, was last computed on a message.
+    pub(super) errors_updated_at: [TimestampMs; 4],
+    /// The inputs that have changed since: what depends on them is computed when the errors are requested.
+    pub(super) deferred: IndexSet,
     /// Their sums; `None`: a part has changed since.
     pub(super) error_sums: Option<ErrorSums>,
     pub(super) reference: ReferenceErrors,
@@ -173,6 +178,8 @@ pub(super) struct ReceivedConditions {
     pub age_ms: u32,
     /// The offset goes by the defaults.
     pub by_default: bool,
+    /// They differ from the conditions that the terms use, which they reach in the next tick.
+    pub is_changed: bool,
 }
 
 impl ReceivedConditions {
@@ -242,6 +249,8 @@ impl BridgeState {
             heat: Default::default(),
             phase_ms: 0,
             errors,
+            errors_updated_at: Default::default(),
+            deferred: IndexSet::default(),
             error_sums: None,
             reference: Default::default(),
             zeroed: false,
@@ -385,11 +394,29 @@ impl BridgeState {
         !self.jump_age.is_older_than(JUMP_REPORT_DURATION_MS)
     }
 
-    /// Takes the angles of the head, and where they point the tool.
-    pub(super) fn receive_angles(&mut self, angles: [MicroDegrees; 2], direction: ToolDirection) {
+    /// Receives the angles of the head. Returns whether they have changed. The first angles get the tool direction `first`, all
+    /// others keep the direction before, until it is set ([`Self::tool_mut`]).
+    pub(super) fn receive_angles(
+        &mut self,
+        angles: [MicroDegrees; 2],
+        first: ToolDirection,
+    ) -> bool {
         let [.., moving] = &mut self.moving;
-        *moving = self.tool.latest().is_some_and(|(before, _)| before != angles);
-        self.tool.receive((angles, direction));
+        if let Some((known, _)) = &mut self.tool.value {
+            *moving = *known != angles;
+            (*known, self.tool.age) = (angles, Age::ZERO);
+            *moving
+        } else {
+            *moving = false;
+            self.tool.receive((angles, first));
+            true
+        }
+    }
+
+    /// Returns the angles of the head that were last received, and where they point the tool.
+    #[inline]
+    pub(super) fn tool_mut(&mut self) -> Option<&mut ([MicroDegrees; 2], ToolDirection)> {
+        self.tool.value.as_mut()
     }
 
     /// Returns the age of the oldest position or angle of what moves.

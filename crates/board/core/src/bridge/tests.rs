@@ -1,6 +1,7 @@
 //! The bridge as a whole, tick by tick: what each row of its table promises.
 
 mod conditions;
+mod floods;
 mod heat;
 mod jumps;
 mod learned;

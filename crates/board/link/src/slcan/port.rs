@@ -86,7 +86,15 @@ impl Port {
     /// Takes a byte from the client and answers the line that it ends; the frame, if that line
     /// was one for the board.
     pub fn receive(&mut self, byte: u8) -> Option<Frame> {
-        let line = self.lines.push(byte)?;
+        // Taken out, because what answers the line is the rest of this port; a copy costs nothing here.
+        let mut lines = core::mem::take(&mut self.lines);
+        let frame = lines.push(byte).and_then(|line| self.receive_line(line));
+        self.lines = lines;
+        frame
+    }
+
+    /// Answers a line of the client, as a [`LineSplitter`] gives it; the frame, if it was one for the board.
+    pub fn receive_line(&mut self, line: Result<&[u8], SlcanError>) -> Option<Frame> {
         match line.and_then(|line| Request::parse(line, self.channel)) {
             Ok(request) => {
                 self.channel = request.channel;
@@ -126,6 +134,12 @@ impl Port {
             self.queue(line.get(..len).unwrap_or_default());
         }
         true
+    }
+
+    /// Returns whether bytes wait to be transmitted.
+    #[must_use]
+    pub fn has_waiting_bytes(&self) -> bool {
+        !self.tx.is_empty()
     }
 
     /// Takes the next byte to transmit.
@@ -208,9 +222,12 @@ impl Port {
     }
 
     /// The caller has made sure of the room.
+    // Byte by byte: a copy of a length that is not known takes longer than the few bytes of a line.
     fn queue(&mut self, bytes: &[u8]) {
-        let queued = self.tx.extend_from_slice(bytes);
-        debug_assert!(queued.is_ok());
+        for byte in bytes {
+            let queued = self.tx.push(*byte);
+            debug_assert!(queued.is_ok());
+        }
     }
 }
 

@@ -258,3 +258,27 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_serial_request_that_is_executed_has_the_bytes_of_the_shortest_one() {
+    // The unit before it, the checksum behind it.
+    let shortest = MIN_REQUEST_BYTES - 3;
+    for function in [READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS, WRITE_MULTIPLE_REGISTERS] {
+        for fill in 0..=4 {
+            for length in 0..shortest {
+                let pdu = [vec![function], vec![fill; length]].concat();
+                let pdu = &pdu[..length];
+                assert!(validate_pdu(pdu).is_err(), "{pdu:?}");
+            }
+        }
+    }
+    assert!(validate_pdu(&[READ_INPUT_REGISTERS, 0, 0, 0, 1]).is_ok());
+    // No longer read gets room for its answer.
+    let read = |count: u16| {
+        let [high, low] = count.to_be_bytes();
+        validate_pdu(&[READ_INPUT_REGISTERS, 0, 0, high, low])
+    };
+    assert!(read(MAX_BLOCK_REGISTERS).is_ok());
+    let more = read(MAX_BLOCK_REGISTERS + 1);
+    assert_eq!(more, Err(ExceptionCode::Address));
+}

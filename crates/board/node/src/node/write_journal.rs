@@ -6,7 +6,7 @@ use trueup_canopen::emergency::Fault;
 use trueup_core::{calibration::MachineIdentity, units::TimestampMs};
 use trueup_store::{
     calibration,
-    write_log::{self, WriteKind, WriteLog, WriteOrigin, WriteRecord},
+    write_log::{WriteKind, WriteLog, WriteOrigin, WriteRecord},
 };
 
 use super::{Interface, Node};
@@ -66,12 +66,11 @@ impl Node<'_> {
     }
 
     /// Compares the names in the calibration with those that the board belongs to, as
-    /// [`trueup_store::write_log::machine_identity_crc`] has them, and with the number of its chip. A board without names takes the
+    /// [`machine_identity_crc`](trueup_store::write_log::machine_identity_crc) has them, and with the number of its chip. A board without names takes the
     /// first; for any other machine, or a calibration of another board, the operator must confirm. To be
     /// called at the start, for a calibration that is not an example's.
     pub fn check_identity(&mut self, named: Option<u32>, chip: [u32; 3]) {
-        let names = self.machine_identity();
-        let identity = write_log::machine_identity_crc(&names);
+        let (names, identity) = (self.machine_identity(), self.identity);
         let is_of_another_board = names.board != [0; 3] && names.board != chip;
         match named {
             _ if identity == 0 => {}
@@ -83,8 +82,7 @@ impl Node<'_> {
 
     /// The board belongs to the machine of its calibration from now on.
     pub(super) fn adopt_machine_identity(&mut self, line: Option<Interface>) {
-        let identity = write_log::machine_identity_crc(&self.machine_identity());
-        self.log_write(WriteKind::Named, identity, line);
+        self.log_write(WriteKind::Named, self.identity, line);
     }
 
     /// Returns the machine and the board that the running calibration is for.
