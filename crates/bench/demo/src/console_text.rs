@@ -87,16 +87,16 @@ impl MeasuredRunResult {
         let mut text = String::new();
         if self.rows.len() <= MAX_TABLE_ROWS {
             text += "             the machine file as it is    extended from the other readings\n\
-                     \x20measured     bridge        off by         bridge        off by\n";
+                     \x20measured     bridge    error left         bridge    error left\n";
             for row in &self.rows {
                 let _ = writeln!(
                     text,
                     "{:6.1} µm   {:7.2} µm   {:+7.2} µm     {:7.2} µm   {:+7.2} µm",
                     row.dial_um,
                     row.bridge_um,
-                    row.bridge_um - row.dial_um,
+                    row.residual_um(),
                     row.calibrated_um,
-                    row.calibrated_um - row.dial_um,
+                    row.extended_residual_um(),
                 );
             }
         } else {

@@ -7,7 +7,9 @@ use trueup_page::{
 };
 
 use crate::{
-    console_text, hidden_fault_demo::HiddenFaultResult, measured_run_demo::MeasuredRunResult,
+    console_text,
+    hidden_fault_demo::HiddenFaultResult,
+    measured_run_demo::{MeasuredRunResult, ReadingResult},
 };
 
 /// A difference of BIC from which two causes are clearly distinguished.
@@ -158,15 +160,20 @@ fn add_measured_run_section(page: &mut HtmlPage, one: &MeasuredRunResult) {
     page.add_list(&one.notes);
     page.add_charts(&render_measured_run_charts(one));
     add_findings(page, &one.diagnosis.report.findings);
-    let mut table =
-        HtmlTable::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
+    let mut table = HtmlTable::new(&[
+        "measured, µm",
+        "bridge as it is",
+        "error left",
+        "extended",
+        "error left",
+    ]);
     for row in one.rows.iter().step_by(one.rows.len().div_ceil(MAX_TABLE_ROWS).max(1)) {
         table.add_row(&[
             format!("{:.1}", row.dial_um),
             format!("{:.2}", row.bridge_um),
-            format!("{:+.2}", row.bridge_um - row.dial_um),
+            format!("{:+.2}", row.residual_um()),
             format!("{:.2}", row.calibrated_um),
-            format!("{:+.2}", row.calibrated_um - row.dial_um),
+            format!("{:+.2}", row.extended_residual_um()),
         ]);
     }
     page.add_heading("Reading by reading");
@@ -191,7 +198,7 @@ pub(crate) fn add_verdict(page: &mut HtmlPage, diagnosis: &Diagnosis) {
 
 fn render_measured_run_charts(one: &MeasuredRunResult) -> Vec<String> {
     let (x, at) = &one.over;
-    let series = |name: &str, colour, of: fn(&crate::measured_run_demo::ReadingResult) -> f64| {
+    let series = |name: &str, colour, of: fn(&ReadingResult) -> f64| {
         let points = at.iter().zip(&one.rows).map(|(at, row)| [*at, of(row)]).collect();
         ChartSeries::dots(name, colour, points)
     };
@@ -203,8 +210,8 @@ fn render_measured_run_charts(one: &MeasuredRunResult) -> Vec<String> {
             "Error that the bridge leaves",
             "error, µm",
             vec![
-                series("as it is", ColourRole::Before, |row| row.dial_um - row.bridge_um),
-                series("extended", ColourRole::After, |row| row.dial_um - row.calibrated_um),
+                series("as it is", ColourRole::Before, ReadingResult::residual_um),
+                series("extended", ColourRole::After, ReadingResult::extended_residual_um),
             ],
         ),
         chart(

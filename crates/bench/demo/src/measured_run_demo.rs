@@ -58,6 +58,18 @@ pub struct ReadingResult {
     pub calibrated_um: f64,
 }
 
+impl ReadingResult {
+    /// Returns the error that the bridge leaves: measured minus sent, in µm.
+    pub(crate) fn residual_um(&self) -> f64 {
+        self.dial_um - self.bridge_um
+    }
+
+    /// Returns the same of the extended machine file.
+    pub(crate) fn extended_residual_um(&self) -> f64 {
+        self.dial_um - self.calibrated_um
+    }
+}
+
 /// Size of what is left.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ResidualStatistics {
@@ -185,8 +197,8 @@ pub fn run_measured_run_demo(
     let line = fit_line(&column_of(|row| row.bridge_um), &column_of(|row| row.dial_um));
     Ok(MeasuredRunResult {
         over: choose_abscissa(run, measured, &before),
-        before: residual_statistics(&rows, quantity, |row| row.bridge_um)?,
-        after: residual_statistics(&rows, quantity, |row| row.calibrated_um)?,
+        before: residual_statistics(&rows, quantity, ReadingResult::residual_um)?,
+        after: residual_statistics(&rows, quantity, ReadingResult::extended_residual_um)?,
         line: line.ok().map(|fit| [fit.gain, fit.offset]),
         s7_full_scale_ratio: s7_full_scale_ratio(&machine),
         machine: machine.name.clone(),
@@ -272,9 +284,9 @@ impl PlaybackContext<'_> {
 fn residual_statistics(
     rows: &[ReadingResult],
     quantity: Quantity,
-    corrected: impl Fn(&ReadingResult) -> f64,
+    residual_um: impl Fn(&ReadingResult) -> f64,
 ) -> Result<ResidualStatistics> {
-    let mut left: Vec<f64> = rows.iter().map(|row| row.dial_um - corrected(row)).collect();
+    let mut left: Vec<f64> = rows.iter().map(residual_um).collect();
     if quantity.axis().is_some() {
         let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
         left.iter_mut().for_each(|um| *um -= mean);
@@ -311,5 +323,21 @@ fn choose_abscissa(run: &RunFile, measured: &[f64], played: &PlaybackRecord) -> 
     match axis {
         Some((name, values)) => (format!("{}, mm", name[..1].to_uppercase()), of(values)),
         None => ("measured, µm".into(), of(measured)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_that_is_left_is_measured_minus_sent_in_table_chart_and_figures() -> Result<()> {
+        let row =
+            ReadingResult { sensor_um: 8.0, bridge_um: 8.0, dial_um: 10.0, calibrated_um: 13.0 };
+        assert_eq!((row.residual_um(), row.extended_residual_um()), (2.0, -3.0));
+        let after =
+            residual_statistics(&[row], Quantity::Elongation, ReadingResult::extended_residual_um)?;
+        assert_eq!(after.max_um, 3.0);
+        Ok(())
     }
 }

@@ -17,7 +17,7 @@ use super::{
     reading::{CirclePosition, Pose, ReadingKind, VolumeReading, dot},
 };
 
-/// The least part of what is open that a measurement must take away to be proposed without settling it.
+/// The largest part of an open standard deviation that a measurement may leave, where it is proposed without settling it.
 const MAX_HELPFUL_STD_RATIO: f64 = 0.7;
 
 /// A measurement that could be made.
