@@ -2,7 +2,7 @@
 //! all the time, a piece at each turn of the supervisor, and without a boot program at the start too. Where the unit is
 //! dead, the core works it out itself: twenty times slower.
 //!
-//! The build writes length and CRC into the image after it is linked ([`IMAGE_CHECK`]; `trueup_emulator::seal`). An
+//! The build writes length and CRC into the image after it is linked ([`IMAGE_CHECK`]; `trueup_emulator::image_check`). An
 //! image that went another way has none: it runs, and says that it cannot be checked.
 
 use core::ptr::{addr_of, read_volatile};

@@ -25,7 +25,7 @@ pub struct ConstantEstimate {
 /// Returns the day in a file's name.
 ///
 /// ```
-/// use trueup_compare::dated::{find_date_in_file_name, format_day};
+/// use trueup_compare::dated_constants::{find_date_in_file_name, format_day};
 /// assert_eq!(find_date_in_file_name("mill 2026-11-22.csv"), Some(20_779));
 /// assert_eq!(find_date_in_file_name("mill_20261122_x.toml"), Some(20_779));
 /// assert_eq!(find_date_in_file_name("mill-2026-13-40.csv"), None);

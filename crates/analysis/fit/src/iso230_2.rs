@@ -138,20 +138,6 @@ pub enum Iso230Error {
 impl Iso230Results {
     /// Returns the figures of an axis measured at `targets`.
     ///
-    /// ```
-    /// use trueup_fit::iso230::{Iso230Results, TargetReadings};
-    /// let target = |position_mm, forward: [f64; 2], reverse: [f64; 2]| TargetReadings {
-    ///     position_mm, forward_um: forward.into(), reverse_um: reverse.into(),
-    /// };
-    /// // Means +1 and −1 at 0 mm, +4 and +3 at 10 mm; all standard deviations 0.
-    /// let axis = Iso230Results::from_targets(&[target(0.0, [1.0; 2], [-1.0; 2]), target(10.0, [4.0; 2], [3.0; 2])])?;
-    /// let both = axis.both.expect("both directions were measured");
-    /// assert_eq!((both.reversal_um, both.mean_reversal_um), (2.0, 1.5));
-    /// // E from −1 to +4; M from the bi-directional means 0 to 3.5.
-    /// assert_eq!((both.systematic_um, both.mean_error_um), (5.0, 3.5));
-    /// # Ok::<(), trueup_fit::iso230::Iso230Error>(())
-    /// ```
-    ///
     /// # Errors
     /// No arrival at all, a single one in a direction in which the target was measured, or a value
     /// that is not finite.
@@ -344,6 +330,17 @@ mod tests {
 
     fn target(position_mm: f64, forward_um: &[f64], reverse_um: &[f64]) -> TargetReadings {
         TargetReadings { position_mm, forward_um: forward_um.into(), reverse_um: reverse_um.into() }
+    }
+
+    #[test]
+    fn two_targets_reckoned_in_the_head_give_reversal_systematic_and_mean_error() {
+        // Means +1 and −1 at 0 mm, +4 and +3 at 10 mm; all standard deviations 0.
+        let targets = [target(0.0, &[1.0; 2], &[-1.0; 2]), target(10.0, &[4.0; 2], &[3.0; 2])];
+        let axis = Iso230Results::from_targets(&targets).expect("two targets");
+        let both = axis.both.expect("both directions were measured");
+        assert_eq!((both.reversal_um, both.mean_reversal_um), (2.0, 1.5));
+        // E from −1 to +4; M from the bi-directional means 0 to 3.5.
+        assert_eq!((both.systematic_um, both.mean_error_um), (5.0, 3.5));
     }
 
     /// Three targets, five arrivals each way, with means and deviations that are whole: the sums of

@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`straightness`] | a B-spline with few coefficients; [next to other ways](straightness::method_table) |
 //! | [`pitch`] | position errors of an axis and its backlash |
-//! | [`iso230_2`] | the figures of ISO 230-2 |
+//! | `iso230_2` | the figures of ISO 230-2 |
 //! | [`bspline`] | the basis, and least squares in it |
 //! | [`elongation`] | fits `[spindle.sensor]` and `[spindle.temperature]` |
 //! | [`warmup`] | fits `[spindle.warmup]` |

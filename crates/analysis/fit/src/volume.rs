@@ -13,11 +13,11 @@
 //! |---|---|
 //! | [`reading`] | a reading and its pose |
 //! | `read`, `predicted` | rows of run files, without what the machine file predicts |
-//! | [`spline_modes`] | forms of a smooth function |
+//! | `spline_modes` | forms of a smooth function |
 //! | `error_parameters` | the errors, and what a unit of each does |
-//! | `kinematics`, [`nuisance_parameters`] | the workpiece and the tool, and what is unknown of a set-up |
+//! | `kinematics`, `nuisance_parameters` | the workpiece and the tool, and what is unknown of a set-up |
 //! | `design` | the equations |
-//! | [`empirical_bayes`] | constants, noise and sizes |
+//! | `empirical_bayes` | constants, noise and sizes |
 //! | [`identifiability`] | what is known, and readings that were held out |
 //! | `next_tests` | the measurement that would settle the rest |
 //! | `section_writer` | sections of the machine file |

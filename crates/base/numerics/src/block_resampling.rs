@@ -22,7 +22,7 @@ pub const COVERAGE_FACTOR_95: f64 = 2.0;
 /// Returns the number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
 ///
 /// ```
-/// assert_eq!(trueup_numerics::blocks::segment_indices(6, 3), [0, 0, 1, 1, 2, 2]);
+/// assert_eq!(trueup_numerics::block_resampling::segment_indices(6, 3), [0, 0, 1, 1, 2, 2]);
 /// ```
 #[must_use]
 pub fn segment_indices(rows: usize, stretches: usize) -> Vec<usize> {

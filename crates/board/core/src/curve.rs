@@ -122,7 +122,7 @@ impl<'a> Curve<'a> {
     /// outside.
     ///
     /// ```
-    /// use trueup_core::{curve::{Curve, Segment}, units::{FineNanometres, Position}};
+    /// use trueup_core::{curve::{Curve, CurveSegment}, units::{FineNanometres, Position}};
     /// // From 0 to 0.4 mm 8 nm, from there to 1 mm 5 nm.
     /// let segments = [(40_000, 8), (100_000, 5)].map(|(end, nm)| {
     ///     Segment::new(Position(end), 16, [nm * 256, 0, 0, 0]).to_bytes()

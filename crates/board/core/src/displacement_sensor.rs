@@ -35,7 +35,7 @@ impl SensorLaw {
     /// Worst error against `f64` with the same constants: 0.5 nm, the rounding of the result.
     ///
     /// ```
-    /// use trueup_core::{sensor::{SensorLaw, SensorSlope}, units::{Nanometres, Reading}};
+    /// use trueup_core::{displacement_sensor::{SensorLaw, SensorSlope}, units::{Nanometres, SensorReading}};
     /// // The paper's sensor: 500 µm over 4096 codes of 1024 readings, zero at 5048/8 codes.
     /// let law = SensorLaw {
     ///     k0: Nanometres(0),

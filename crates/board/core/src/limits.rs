@@ -56,7 +56,7 @@ impl AppliedOffset {
     /// Moves one step towards `target`, never beyond the clamp, never faster than the slew limit.
     ///
     /// ```
-    /// use trueup_core::{limits::{AppliedOffset, Limits}, units::Nanometres};
+    /// use trueup_core::{limits::{AppliedOffset, CompensationLimits}, units::Nanometres};
     /// let limits = Limits {
     ///     max: [Nanometres(200_000); 3],
     ///     slew_nm_per_s: 20_000,

@@ -74,7 +74,7 @@ impl ErrorTable<'_> {
     /// is a constant, outside everywhere but at its position. A step of 0 gives 0, outside.
     ///
     /// ```
-    /// use trueup_core::{pitch_table::ErrorTable, travel::Interval, units::{FineNanometres, Position}};
+    /// use trueup_core::{pitch_table::ErrorTable, reversal::Interval, units::{FineNanometres, Position}};
     /// // 10 mm commanded, 9 mm moved: the error is 0 at 0, and −1 mm at 10 mm.
     /// let points = [0, -1_000_000].map(|nm: i32| (nm * 256).to_le_bytes());
     /// let table = ErrorTable { start: Position(0), step: Interval::new(1_000_000), points: &points };
@@ -116,7 +116,7 @@ impl PitchErrorTable<'_> {
     /// [`ErrorTable::error_at`]. Where the reverse table is too short this says 0 and outside.
     ///
     /// ```
-    /// use trueup_core::{pitch_table::PitchErrorTable, travel::{Fraction, Interval}, units::{FineNanometres, Position}};
+    /// use trueup_core::{pitch_table::PitchErrorTable, reversal::{Fraction, Interval}, units::{FineNanometres, Position}};
     /// let (forward, reverse) = ([0, 1_500], [500, 2_000]);
     /// let bytes = |table: [i32; 2]| table.map(|nm| (nm * 256).to_le_bytes());
     /// let pitch = PitchErrorTable {
@@ -202,7 +202,7 @@ impl GantryBeam {
     /// Returns the error at `y` between errors `first` and `second` of the drives: (1 − w)·e₁ + w·e₂.
     ///
     /// ```
-    /// use trueup_core::{pitch_table::Beam, units::{FineNanometres, Position}};
+    /// use trueup_core::{pitch_table::GantryBeam, units::{FineNanometres, Position}};
     /// let beam = Beam::new(Position(0), Position(300_000_000)); // 3 m
     /// let error = beam.interpolate(FineNanometres(256_000), FineNanometres(768_000), Position(75_000_000));
     /// assert_eq!(error.rounded().0, 1_500); // a quarter of the way from 1 µm to 3 µm

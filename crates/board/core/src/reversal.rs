@@ -38,7 +38,7 @@ impl Fraction {
     /// Returns the value at this fraction of the way from `a` to `b`, exact at both ends.
     ///
     /// ```
-    /// use trueup_core::{travel::Fraction, units::FineNanometres};
+    /// use trueup_core::{reversal::Fraction, units::FineNanometres};
     /// let quarter = Fraction(1 << 29);
     /// assert_eq!(quarter.interpolate(FineNanometres(100), FineNanometres(-300)), FineNanometres(0));
     /// ```
@@ -114,7 +114,7 @@ impl Interval {
     /// Returns the fraction that `part` is of the length, held to 1; of a length of 0 everything is all.
     ///
     /// ```
-    /// use trueup_core::travel::{Fraction, Interval};
+    /// use trueup_core::reversal::{Fraction, Interval};
     /// // 75 of 300 are a quarter, 2²⁹ in Q31; at most 2 of the last places too low.
     /// assert!(Interval::new(300).fraction(75).0.abs_diff(1 << 29) <= 2);
     /// assert_eq!(Interval::new(300).fraction(300), Fraction::ONE);
@@ -164,7 +164,7 @@ impl ReversalTracker {
     /// direction hides two reversals: travel is then counted from the new position.
     ///
     /// ```
-    /// use trueup_core::{travel::{backlash_error, ReversalConfig, ReversalTracker, Interval}, units::{FineNanometres, Position}};
+    /// use trueup_core::{reversal::{backlash_error, ReversalConfig, ReversalTracker, Interval}, units::{FineNanometres, Position}};
     /// // Reversal counts after 10 µm, and then takes 100 µm; backlash 4 µm.
     /// let config = ReversalConfig { hysteresis: 1_000, ramp: Interval::new(10_000) };
     /// let width = FineNanometres(4_000 * 256);
@@ -236,7 +236,7 @@ impl ReversalTracker {
 /// the negative one, in which the table is left behind. A width below 0 is over-compensation.
 ///
 /// ```
-/// use trueup_core::{travel::{backlash_error, Fraction}, units::FineNanometres};
+/// use trueup_core::{reversal::{backlash_error, Fraction}, units::FineNanometres};
 /// assert_eq!(backlash_error(FineNanometres(1_024), Fraction::ZERO), FineNanometres(0));
 /// assert_eq!(backlash_error(FineNanometres(1_024), Fraction::ONE), FineNanometres(1_024));
 /// ```

@@ -48,9 +48,9 @@ impl SupplyScale {
     /// Returns a reading as the converter would have given it at the basis; worst error half a unit.
     ///
     /// ```
-    /// use trueup_core::{supply::SupplyMonitor, units::{AdcCode, Reading}};
+    /// use trueup_core::{supply_monitor::SupplyMonitor, units::{AdcCode, SensorReading}};
     /// let mut supply = SupplyMonitor::default();
-    /// supply.set_baseline_level(trueup_core::supply::InternalReferenceLevel(1500 * 16));
+    /// supply.set_baseline_level(trueup_core::supply_monitor::InternalReferenceLevel(1500 * 16));
     /// // The supply has fallen by 1 %: all codes are 1.01 times as large.
     /// (0..1000).for_each(|_| supply.receive(AdcCode(1515)));
     /// let reading = supply.scale().scale_reading(Reading(1_010_000));

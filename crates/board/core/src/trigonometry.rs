@@ -52,7 +52,7 @@ const COSINE_COEFFICIENTS: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537
 /// Sine and cosine of an angle, Q30: [`ToolDirection::ONE`] is 1.
 ///
 /// ```
-/// use trueup_core::{angle::sin_cos, units::MicroDegrees};
+/// use trueup_core::{trigonometry::sin_cos, units::MicroDegrees};
 /// const ONE: i32 = 1 << 30;
 /// // sin 30° = 1/2, cos 30° = √3/2 = 0.866 025 404.
 /// let (sine, cosine) = sin_cos(MicroDegrees(30_000_000));

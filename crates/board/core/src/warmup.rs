@@ -58,7 +58,7 @@ impl WarmupModel {
     /// One step of [`THERMAL_STEP_MS`] through which the spindle was driven like this; 0 or less: stopped.
     ///
     /// ```
-    /// use trueup_core::{dimensions::THERMAL_STEP_MS, lag::SmoothingFactor, units::FineNanometres};
+    /// use trueup_core::{design_parameters::THERMAL_STEP_MS, lag::SmoothingFactor, units::FineNanometres};
     /// use trueup_core::warmup::{WarmupModelState, WarmupModel};
     /// // 80 µm after a lag of 200 ms; half of what is missing comes in every step.
     /// let spindle = WarmupModel {

@@ -31,7 +31,7 @@ pub type LinearCoefficients = (i16, i16);
 ///
 /// ```
 /// use trueup_core::{cnc::{Output, OffsetQuality}, units::Nanometres};
-/// use trueup_modbus::{input::InputBlock, input_block_with_slopes};
+/// use trueup_modbus::{input_block::InputBlock, input_block_with_slopes};
 /// let offset = Some([Nanometres(-39_000), Nanometres(0), Nanometres(0)]);
 /// let input = InputBlock { output: Output { offset, quality: OffsetQuality::Live, ..Output::default() }, ..InputBlock::default() };
 /// // An axis at 1 m: -12.0 µm and -27.0 µm/m.

@@ -113,7 +113,7 @@ impl BSpline {
 /// the rules of [`BSpline::validate`].
 ///
 /// ```
-/// use trueup_machine::{file::BSpline, model::spline_value_um};
+/// use trueup_machine::{machine_file::BSpline, model::spline_value_um};
 /// // One cubic segment: half way it is (1·0 + 3·8 + 3·8 + 1·0)/8.
 /// let hump = BSpline {
 ///     order: 4,

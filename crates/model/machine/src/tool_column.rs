@@ -6,7 +6,7 @@ pub const TOOL_COLUMN: &str = "tool";
 /// Returns the number in whose form a label is kept: −1 − FNV-1a of 32 bits.
 ///
 /// ```
-/// use trueup_machine::tool::label_code;
+/// use trueup_machine::tool_column::label_code;
 /// assert_eq!(label_code("drill"), label_code("drill"));
 /// assert!(label_code("drill") < 0.0 && label_code("drill") != label_code("mill"));
 /// ```

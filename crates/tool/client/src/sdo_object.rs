@@ -145,7 +145,7 @@ pub(crate) const FIRMWARE_BYTES_RECEIVED: ObjectAddress =
     find_address(EntryContent::FirmwareReceived);
 /// Tag of the firmware under way.
 pub(crate) const FIRMWARE_TAG: ObjectAddress = find_address(EntryContent::FirmwareTag);
-/// Why the last one was refused: a number of [`FirmwareRejectReason`](trueup_boot::refusal::FirmwareRejectReason), 0: it was not.
+/// Why the last one was refused: a number of [`FirmwareRejectReason`](trueup_boot::refusal_reason::FirmwareRejectReason), 0: it was not.
 pub(crate) const FIRMWARE_REJECT_REASON: ObjectAddress =
     find_address(EntryContent::FirmwareRefused);
 /// The firmware slot that runs: 0 A, 1 B.

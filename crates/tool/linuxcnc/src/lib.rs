@@ -9,7 +9,7 @@
 //!
 //! The decisions ([`offset_target`], [`offset_follower`], [`sender`], put together in [`component`]) are `trueup-linuxcnc-core`: it takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
-//! the only file with `unsafe`, [`component_pins`] names every pin, [`trueup_client::connection`] keeps the
+//! the only file with `unsafe`, `component_pins` names every pin, [`trueup_client::connection`] keeps the
 //! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,
 //! [`run()`] is the loop.
 //!

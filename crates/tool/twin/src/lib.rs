@@ -16,7 +16,7 @@
 //! | [`cubic_spline`] | smooth curves through points |
 //! | [`sensors`] | the displacement sensor and the thermometers, with their faults |
 //! | [`instrument`] | the reference instrument, with its own |
-//! | [`rotary_head`] | rotary axes that turn the tool |
+//! | `rotary_head` | rotary axes that turn the tool |
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |

@@ -46,16 +46,6 @@ impl RotaryAxis {
 }
 
 /// `straight` turned by the head's axes, which stand at `angles_deg`.
-///
-/// ```
-/// use trueup_twin::head::{RotaryAxis, rotate_tool_direction};
-/// // A at +30° moves a tool that points down to +Y: sin 30° = 0.5.
-/// let v = rotate_tool_direction(&[RotaryAxis::C, RotaryAxis::A], [0.0, 30.0], [0.0, 0.0, -1.0]);
-/// assert!((v[1] - 0.5).abs() < 1e-12 && (v[2] + 0.75_f64.sqrt()).abs() < 1e-12);
-/// // C at 90° then takes +Y to −X.
-/// let v = rotate_tool_direction(&[RotaryAxis::C, RotaryAxis::A], [90.0, 30.0], [0.0, 0.0, -1.0]);
-/// assert!((v[0] + 0.5).abs() < 1e-12 && v[1].abs() < 1e-12);
-/// ```
 #[must_use]
 pub fn rotate_tool_direction(
     axes: &[RotaryAxis],
@@ -64,4 +54,20 @@ pub fn rotate_tool_direction(
 ) -> [f64; 3] {
     let from_the_frame: Vec<_> = axes.iter().zip(angles_deg).collect();
     from_the_frame.iter().rev().fold(straight, |v, (axis, angle_deg)| axis.rotate(*angle_deg, v))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tool_that_points_down_turns_with_a_and_then_with_c() {
+        let axes = [RotaryAxis::C, RotaryAxis::A];
+        // A at +30° moves a tool that points down to +Y: sin 30° = 0.5.
+        let v = rotate_tool_direction(&axes, [0.0, 30.0], [0.0, 0.0, -1.0]);
+        assert!((v[1] - 0.5).abs() < 1e-12 && (v[2] + 0.75_f64.sqrt()).abs() < 1e-12);
+        // C at 90° then takes +Y to −X.
+        let v = rotate_tool_direction(&axes, [90.0, 30.0], [0.0, 0.0, -1.0]);
+        assert!((v[0] + 0.5).abs() < 1e-12 && v[1].abs() < 1e-12);
+    }
 }

@@ -219,8 +219,7 @@ fn ignore_not_found(error: io::Error) -> io::Result<()> {
     if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
-/// The CNC's end of the serial line: it takes in whatever comes, and a read waits at most
-/// [`BufferedSerial::READ_TIMEOUT`].
+/// The CNC's end of the serial line: it takes in whatever comes, and a read waits 20 s at most.
 pub struct BufferedSerial {
     writer: UnixStream,
     received: mpsc::Receiver<Vec<u8>>,

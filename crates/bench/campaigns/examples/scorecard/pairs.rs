@@ -1,4 +1,4 @@
-//! `scorecard pairs`: every pair of causes that one machine can have ([`trueup_campaigns::score::pairs`]), at ratio 3.
+//! `scorecard pairs`: every pair of causes that one machine can have ([`trueup_campaigns::score::cause_pairs`]), at ratio 3.
 
 use std::process::ExitCode;
 

@@ -286,7 +286,7 @@ impl Chip {
     /// Writes CAN_MCR: mode requests and reset.
     fn write_can_mcr(&mut self, v: u32) {
         let now = self.now;
-        if v & MCR_RESET_BIT != 0 {
+        if v & MCR_SOFTWARE_RESET != 0 {
             self.can = Can::after_reset();
             return;
         }

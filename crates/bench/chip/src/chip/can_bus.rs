@@ -205,9 +205,9 @@ impl Chip {
             let [a, b] = c.filters[bank];
             let (list, wide) = (c.fm1r >> bank & 1 != 0, c.fs1r >> bank & 1 != 0);
             let tests: Vec<bool> = match (wide, list) {
-                (true, false) => vec![(word ^ a) & b & !FILTER_UNUSED_BIT == 0],
+                (true, false) => vec![(word ^ a) & b & !FILTER_UNUSED == 0],
                 (true, true) => {
-                    vec![(word ^ a) & !FILTER_UNUSED_BIT == 0, (word ^ b) & !FILTER_UNUSED_BIT == 0]
+                    vec![(word ^ a) & !FILTER_UNUSED == 0, (word ^ b) & !FILTER_UNUSED == 0]
                 }
                 (false, false) => {
                     vec![

@@ -44,10 +44,10 @@ impl Chip {
             // 4.4.2: the byte register, which a reset of the unit leaves.
             IDR_OFFSET => self.crc.idr = v & IDR_MASK,
             CR_OFFSET => {
-                if v & !CR_RESET_BIT != 0 {
+                if v & !CR_COMPUTATION_RESET != 0 {
                     self.report_violation(format!("CRC_CR: reserved bits set ({v:#x})"));
                 }
-                if v & CR_RESET_BIT != 0 {
+                if v & CR_COMPUTATION_RESET != 0 {
                     self.crc.dr = DR_RESET;
                 }
             }

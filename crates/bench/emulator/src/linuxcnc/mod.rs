@@ -12,8 +12,8 @@
 //! |---|---|---|
 //! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`headless_linuxcnc`], [`config`] |
 //! | component | `trueup linuxcnc`, wired by `integrations/linuxcnc/trueup.hal` | |
-//! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | [`emulated_bridge`] |
-//! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | [`slcan_adapter`] |
+//! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | `emulated_bridge` |
+//! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | `slcan_adapter` |
 //! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
 //! | machine file | measured on the twin, fitted, diagnosed | `machine_measurement` |
 //! | figures | from every servo cycle | [`loop_results`], [`html_report`] |

@@ -48,7 +48,7 @@ impl CurveSegment {
     /// Returns the largest shift whose span holds a position `reach` before the end: it loses least.
     ///
     /// ```
-    /// use trueup_core::curve::Segment;
+    /// use trueup_core::curve::CurveSegment;
     /// // 1 mm is 100 000 positions: 2¹⁷ = 131 072 holds it, 2¹⁶ = 65 536 does not.
     /// assert_eq!(Segment::shift_for_reach(100_000), 15);
     /// assert_eq!(Segment::shift_for_reach(65_536), 15);
@@ -82,7 +82,7 @@ impl CurveSegment {
     /// Returns the value at `p`, meant for positions from the end to less than one span before it.
     ///
     /// ```
-    /// use trueup_core::{curve::Segment, units::{FineNanometres, Position}};
+    /// use trueup_core::{curve::CurveSegment, units::{FineNanometres, Position}};
     /// // 2¹⁷ positions up to 131 072: 100 nm in the middle, 50 nm more for t from 0 to 1.
     /// let line = Segment::new(Position(131_072), 15, [100 * 256, 50 * 256, 0, 0]);
     /// assert_eq!(line.evaluate(Position(131_072)).rounded().0, 50); // the end, t = −1

@@ -28,7 +28,7 @@ pub enum AdapterMessage {
 /// Reads what an adapter sends, byte by byte.
 ///
 /// ```
-/// use trueup_link::slcan::{Client, Event};
+/// use trueup_link::slcan::{SlcanClient, AdapterMessage};
 /// let mut client = Client::new();
 /// let mut heard = b"\r\x07t70117F\r".iter().filter_map(|byte| client.receive(*byte));
 /// assert_eq!(heard.next(), Some(Event::Accepted));

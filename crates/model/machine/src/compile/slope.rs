@@ -45,7 +45,7 @@ impl SlopeAtPosition {
 /// Returns the steepest slope that a board with these limits follows, in µm per mm, above 0.
 ///
 /// ```
-/// use trueup_machine::{compile::max_slope_um_per_mm, file::Limits};
+/// use trueup_machine::{compile::max_slope_um_per_mm, machine_file::Limits};
 /// assert_eq!(max_slope_um_per_mm(&Limits::default()), 40.0);
 /// ```
 #[must_use]

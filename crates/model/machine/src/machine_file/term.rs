@@ -76,7 +76,7 @@ impl Term {
     ///
     /// ```
     /// use trueup_machine::effect::{Effect, Quantity, SensorGain};
-    /// use trueup_machine::file::{Term, writer::MachineFileEdit};
+    /// use trueup_machine::machine_file::{Term, writer::MachineFileEdit};
     /// let term = Term {
     ///     quantity: Quantity::Elongation,
     ///     constant_um: 0.0,

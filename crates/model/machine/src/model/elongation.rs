@@ -35,7 +35,7 @@ use crate::sections::{SensorModel, TemperatureModel, Warmup};
 /// Returns the elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
 ///
 /// ```
-/// use trueup_machine::{file::SensorModel, model::elongation_um};
+/// use trueup_machine::{machine_file::SensorModel, model::elongation_um};
 /// let paper = SensorModel {
 ///     k0_um: 0.0, zero_counts: 5048.0, um_per_count: 500.0 / 32768.0, temperature: None,
 /// };
@@ -53,7 +53,7 @@ pub fn elongation_um(sensor: &SensorModel, sensor_counts: f64) -> f64 {
 /// diagnosis looks at, and no part of the law.
 ///
 /// ```
-/// use trueup_machine::{file::SensorModel, model::sensor_counts_from_elongation};
+/// use trueup_machine::{machine_file::SensorModel, model::sensor_counts_from_elongation};
 /// let paper = SensorModel {
 ///     k0_um: 3.0, zero_counts: 5048.0, um_per_count: 500.0 / 32768.0, temperature: None,
 /// };
@@ -69,7 +69,7 @@ pub fn sensor_counts_from_elongation(sensor: &SensorModel, elongation_um: f64) -
 /// missing temperature.
 ///
 /// ```
-/// use trueup_machine::{file::TemperatureModel, model::temperature_elongation_um};
+/// use trueup_machine::{machine_file::TemperatureModel, model::temperature_elongation_um};
 /// let model = TemperatureModel {
 ///     sensor: "temp_front_c".into(), reference_c: 20.0, k_um_per_c: 2.0, lag_s: 0.0,
 /// };
@@ -84,7 +84,7 @@ pub fn temperature_elongation_um(model: &TemperatureModel, temperature_c: f64) -
 /// speed for which `max_um` holds.
 ///
 /// ```
-/// use trueup_machine::{file::Warmup, model::warmup_elongation_um};
+/// use trueup_machine::{machine_file::Warmup, model::warmup_elongation_um};
 /// let model = Warmup {
 ///     lag_s: 60.0, warm_s: 5460.0, max_um: 80.0, exponent: 2.0 * 2_f64.ln(),
 ///     cool_s: None, rated_rpm: None, speed_exponent: 0.0,
@@ -110,7 +110,7 @@ fn saturating_exponential(model: &Warmup, share: f64) -> f64 {
 /// Returns the input of the warm-up's state while heat reaches the spindle: (n/n_rated)^p, 1 at p = 0.
 ///
 /// ```
-/// use trueup_machine::{file::Warmup, model::heat_input};
+/// use trueup_machine::{machine_file::Warmup, model::heat_input};
 /// let model = Warmup {
 ///     lag_s: 60.0, warm_s: 5400.0, max_um: 80.0, exponent: 4.0,
 ///     cool_s: None, rated_rpm: Some(24_000.0), speed_exponent: 2.0,

@@ -12,7 +12,7 @@ use crate::sections::RotaryAxis;
 /// `vector` turned about the axis of `axis` by `angle_deg`, by the right hand.
 ///
 /// ```
-/// use trueup_machine::{file::RotaryAxis, model::rotate_about_axis};
+/// use trueup_machine::{machine_file::RotaryAxis, model::rotate_about_axis};
 /// // C = +90° takes +X to +Y.
 /// let [x, y, z] = rotate_about_axis([1.0, 0.0, 0.0], RotaryAxis::C, 90.0);
 /// assert!(x.abs() < 1e-15 && y == 1.0 && z == 0.0);
@@ -32,7 +32,7 @@ pub fn rotate_about_axis(vector: [f64; 3], axis: RotaryAxis, angle_deg: f64) -> 
 /// which are listed from the frame to the tool.
 ///
 /// ```
-/// use trueup_machine::{file::RotaryAxis::{A, C}, model::tool_direction};
+/// use trueup_machine::{machine_file::RotaryAxis::{A, C}, model::tool_direction};
 /// // A = +30° swings the tool to (0, sin 30°, −cos 30°); C = +90° turns that on to −X.
 /// let [x, y, z] = tool_direction([0.0, 0.0, -1.0], &[C, A], [30.0, 0.0, 90.0]);
 /// assert!((x + 0.5).abs() < 1e-15 && y.abs() < 1e-15 && (z + 0.75_f64.sqrt()).abs() < 1e-15);

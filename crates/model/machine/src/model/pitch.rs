@@ -18,7 +18,7 @@ use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_negative_
 /// missing position.
 ///
 /// ```
-/// use trueup_machine::{file::PitchErrorTable, model::pitch_error_um};
+/// use trueup_machine::{machine_file::PitchErrorTable, model::pitch_error_um};
 /// // 10 mm commanded, 9 mm moved: the error is −1 mm, and compensation adds +1 mm.
 /// let pitch = PitchErrorTable {
 ///     start_mm: 0.0, step_mm: 10.0, forward_um: vec![0.0, -1000.0], reverse_um: None,
@@ -52,7 +52,7 @@ pub fn pitch_error_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64)
 /// second one's by where `across_mm` is on the beam.
 ///
 /// ```
-/// use trueup_machine::{file::{SecondDrive, LinearAxis, PitchErrorTable}, model::dual_pitch_error_um};
+/// use trueup_machine::{machine_file::{SecondDrive, LinearAxis, PitchErrorTable}, model::dual_pitch_error_um};
 /// let table = |um| PitchErrorTable { start_mm: 0.0, step_mm: 1.0, forward_um: vec![um], reverse_um: None };
 /// let dual = SecondDrive {
 ///     across: LinearAxis::Y, first_mm: 0.0, second_mm: 3000.0, pitch: table(8.0),
@@ -78,7 +78,7 @@ pub fn dual_pitch_error_um(
 /// Returns the error of backlash in µm after an approach in `direction` (+1 or −1).
 ///
 /// ```
-/// use trueup_machine::{file::Backlash, model::backlash_um};
+/// use trueup_machine::{machine_file::Backlash, model::backlash_um};
 /// let backlash = Backlash { width_um: 4.0, ramp_mm: 0.0, hysteresis_um: 0.0 };
 /// assert_eq!((backlash_um(&backlash, 1.0), backlash_um(&backlash, -1.0)), (0.0, 4.0));
 /// ```

@@ -19,7 +19,7 @@ const MAX_TRAVEL_M: f64 = 21.5;
 ///
 /// ```
 /// use std::path::Path;
-/// use trueup_machine::{MachineFile, file::LinearAxis, model::max_over_compensation_um};
+/// use trueup_machine::{MachineFile, machine_file::LinearAxis, model::max_over_compensation_um};
 /// let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.backlash]\nwidth_um = -25.0\n\
 ///             [axis.y.backlash]\nwidth_um = 6.0\n";
 /// let machine = MachineFile::parse(text, Path::new("m.toml")).unwrap();

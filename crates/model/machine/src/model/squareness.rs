@@ -9,7 +9,7 @@ use crate::sections::Squareness;
 /// Returns the error in µm of an angle between two axes, at `along_mm` on the second one.
 ///
 /// ```
-/// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_error_um};
+/// use trueup_machine::{machine_file::{LinearAxis, Squareness}, model::squareness_error_um};
 /// let angle = Squareness { error: LinearAxis::X, along: LinearAxis::Y, um_per_m: 12.0 };
 /// assert_eq!(squareness_error_um(&angle, -500.0), -6.0);
 /// ```

@@ -15,7 +15,7 @@ use crate::sections::{ThermalLaw, ThermalRow};
 /// whether they count is the mode's business.
 ///
 /// ```
-/// use trueup_machine::{file::{ThermalLaw, ThermalMode, ThermalRow}, model::thermal_coefficients};
+/// use trueup_machine::{machine_file::{ThermalLaw, ThermalMode, ThermalRow}, model::thermal_coefficients};
 /// let row = |temperature_c, constant_um, slope_um_per_m| {
 ///     ThermalRow { temperature_c, constant_um, slope_um_per_m }
 /// };
@@ -63,7 +63,7 @@ fn interpolate_table(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// temperature or a position that counts is missing.
 ///
 /// ```
-/// use trueup_machine::{file::{ThermalLaw, ThermalMode}, model::thermal_error_um};
+/// use trueup_machine::{machine_file::{ThermalLaw, ThermalMode}, model::thermal_error_um};
 /// let axis = ThermalLaw {
 ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 23.0,
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 14.21, origin_mm: 0.0, lag_s: 0.0,

@@ -107,7 +107,7 @@ impl ThermalLaw {
     /// table moves as a whole.
     ///
     /// ```
-    /// use trueup_machine::file::{ThermalLaw, ThermalMode, ThermalRow};
+    /// use trueup_machine::machine_file::{ThermalLaw, ThermalMode, ThermalRow};
     /// use trueup_machine::model::thermal_coefficients;
     /// let row = |temperature_c, slope_um_per_m| {
     ///     ThermalRow { temperature_c, constant_um: 0.0, slope_um_per_m }

@@ -56,7 +56,7 @@ pub(crate) const MCR_NART: u32 = 1 << 4;
 /// CAN_MCR, ABOM: the controller leaves bus-off by itself.
 pub(crate) const MCR_ABOM: u32 = 1 << 6;
 /// CAN_MCR, RESET: resets the controller.
-pub(super) const MCR_RESET_BIT: u32 = 1 << 15;
+pub(super) const MCR_SOFTWARE_RESET: u32 = 1 << 15;
 /// Writable bits of CAN_MCR.
 pub(super) const MCR_WRITE_MASK: u32 = 0x0001_80ff;
 /// Value of CAN_MCR after a reset: asleep, and frozen under a debugger.
@@ -214,4 +214,4 @@ pub(crate) const FILTER_HALF_IDE_SHIFT: u32 = 3;
 /// A filter of 16 bits: EXID[17:15], three bits.
 pub(crate) const FILTER_HALF_EXID_MASK: u32 = 0x7;
 /// A filter of 32 bits: the lowest bit, which is no part of it.
-pub(crate) const FILTER_UNUSED_BIT: u32 = 1 << 0;
+pub(crate) const FILTER_UNUSED: u32 = 1 << 0;

@@ -12,6 +12,6 @@ pub(super) const DR_RESET: u32 = u32::MAX;
 /// The implemented bits of CRC_IDR.
 pub(super) const IDR_MASK: u32 = 0xff;
 /// CRC_CR, RESET: sets the data register to its reset value.
-pub(super) const CR_RESET_BIT: u32 = 1 << 0;
+pub(super) const CR_COMPUTATION_RESET: u32 = 1 << 0;
 /// The generator polynomial of CRC-32.
 pub(super) const POLYNOMIAL: u32 = 0x04c1_1db7;
