@@ -19,9 +19,9 @@ fn entries(board: Board) -> &'static [&'static str] {
         Board::Stm32f405 => {
             const PLC: [&str; 3] =
                 ["Node$GT$10input_data", "Node$GT$13receive_block", "Node$GT$15receive_command"];
-            &["4Node4tick", "4Node7receive", "4Node7service", PLC[0], PLC[1], PLC[2]]
+            &["4Node4tick", "4Node7receive", "4Node18next_service_frame", PLC[0], PLC[1], PLC[2]]
         }
-        Board::Virtual => &["4Node4tick", "4Node7receive", "4Node7service"],
+        Board::Virtual => &["4Node4tick", "4Node7receive", "4Node18next_service_frame"],
     }
 }
 

@@ -191,7 +191,12 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "registers of a request (Modbus application protocol 6.3)",
     ),
     loop_bound("input_block::InputBlock::encode", "", AtMost(3), "three axes"),
-    loop_bound("EmergencyProducer::error", "", AtMost(8), "`HISTORY`, `canopen/src/emergency.rs`"),
+    loop_bound(
+        "EmergencyProducer::history_entry",
+        "",
+        AtMost(8),
+        "`HISTORY`, `canopen/src/emergency.rs`",
+    ),
     loop_bound("Object::entry", "", AtMost(64), "the entries of an object"),
     loop_bound("dictionary::find_object", "", AtMost(64), "the objects"),
     loop_bound(
