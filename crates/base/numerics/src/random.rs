@@ -8,8 +8,8 @@ use rand_distr::StandardNormal;
 ///
 /// ```
 /// use trueup_numerics::random::RandomGenerator;
-/// let mut dice = Generator::new(1);
-/// let mut again = Generator::new(1);
+/// let mut dice = RandomGenerator::new(1);
+/// let mut again = RandomGenerator::new(1);
 /// assert!((0..100).all(|_| { let n = dice.uniform_index(6); n < 6 && n == again.uniform_index(6) }));
 /// ```
 #[derive(Clone, Debug)]

@@ -125,7 +125,7 @@ impl<'a> Curve<'a> {
     /// use trueup_core::{curve::{Curve, CurveSegment}, units::{FineNanometres, Position}};
     /// // From 0 to 0.4 mm 8 nm, from there to 1 mm 5 nm.
     /// let segments = [(40_000, 8), (100_000, 5)].map(|(end, nm)| {
-    ///     Segment::new(Position(end), 16, [nm * 256, 0, 0, 0]).to_bytes()
+    ///     CurveSegment::new(Position(end), 16, [nm * 256, 0, 0, 0]).to_bytes()
     /// });
     /// // Two buckets of 2¹⁶ positions: from 0, in segment 0, and from 65 536, in segment 1.
     /// let curve = Curve::new(Position(0), &segments, &[[0, 0], [1, 0]], 16);

@@ -39,11 +39,11 @@ impl SensorLaw {
     /// // The paper's sensor: 500 µm over 4096 codes of 1024 readings, zero at 5048/8 codes.
     /// let law = SensorLaw {
     ///     k0: Nanometres(0),
-    ///     zero: Reading(5048 * 128),
+    ///     zero: SensorReading(5048 * 128),
     ///     slope: SensorSlope((500_000.0 / 4096.0 / 1024.0 * f64::from(1 << 28)) as i32),
     /// };
     /// // 9164 counts: (9164 − 5048)·500/32768 = 62.805 µm.
-    /// assert_eq!(law.elongation(Reading(9164 * 128)), Nanometres(62_805));
+    /// assert_eq!(law.elongation(SensorReading(9164 * 128)), Nanometres(62_805));
     /// ```
     #[must_use]
     pub fn elongation(&self, reading: SensorReading) -> Nanometres {

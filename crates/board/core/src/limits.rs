@@ -57,7 +57,7 @@ impl AppliedOffset {
     ///
     /// ```
     /// use trueup_core::{limits::{AppliedOffset, CompensationLimits}, units::Nanometres};
-    /// let limits = Limits {
+    /// let limits = CompensationLimits {
     ///     max: [Nanometres(200_000); 3],
     ///     slew_nm_per_s: 20_000,
     ///     link_timeout_ms: 500,

@@ -203,7 +203,7 @@ impl GantryBeam {
     ///
     /// ```
     /// use trueup_core::{pitch_table::GantryBeam, units::{FineNanometres, Position}};
-    /// let beam = Beam::new(Position(0), Position(300_000_000)); // 3 m
+    /// let beam = GantryBeam::new(Position(0), Position(300_000_000)); // 3 m
     /// let error = beam.interpolate(FineNanometres(256_000), FineNanometres(768_000), Position(75_000_000));
     /// assert_eq!(error.rounded().0, 1_500); // a quarter of the way from 1 µm to 3 µm
     /// ```

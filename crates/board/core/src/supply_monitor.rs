@@ -53,7 +53,7 @@ impl SupplyScale {
     /// supply.set_baseline_level(trueup_core::supply_monitor::InternalReferenceLevel(1500 * 16));
     /// // The supply has fallen by 1 %: all codes are 1.01 times as large.
     /// (0..1000).for_each(|_| supply.receive(AdcCode(1515)));
-    /// let reading = supply.scale().scale_reading(Reading(1_010_000));
+    /// let reading = supply.scale().scale_reading(SensorReading(1_010_000));
     /// assert!((reading.0 - 1_000_000).abs() <= 1);
     /// ```
     #[must_use]

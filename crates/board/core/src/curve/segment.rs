@@ -50,9 +50,9 @@ impl CurveSegment {
     /// ```
     /// use trueup_core::curve::CurveSegment;
     /// // 1 mm is 100 000 positions: 2¹⁷ = 131 072 holds it, 2¹⁶ = 65 536 does not.
-    /// assert_eq!(Segment::shift_for_reach(100_000), 15);
-    /// assert_eq!(Segment::shift_for_reach(65_536), 15);
-    /// assert_eq!(Segment::shift_for_reach(65_535), 16);
+    /// assert_eq!(CurveSegment::shift_for_reach(100_000), 15);
+    /// assert_eq!(CurveSegment::shift_for_reach(65_536), 15);
+    /// assert_eq!(CurveSegment::shift_for_reach(65_535), 16);
     /// ```
     #[must_use]
     #[allow(clippy::cast_possible_truncation, reason = "at most 31")]
@@ -84,7 +84,7 @@ impl CurveSegment {
     /// ```
     /// use trueup_core::{curve::CurveSegment, units::{FineNanometres, Position}};
     /// // 2¹⁷ positions up to 131 072: 100 nm in the middle, 50 nm more for t from 0 to 1.
-    /// let line = Segment::new(Position(131_072), 15, [100 * 256, 50 * 256, 0, 0]);
+    /// let line = CurveSegment::new(Position(131_072), 15, [100 * 256, 50 * 256, 0, 0]);
     /// assert_eq!(line.evaluate(Position(131_072)).rounded().0, 50); // the end, t = −1
     /// assert_eq!(line.evaluate(Position(65_536)).rounded().0, 100); // t = 0
     /// assert_eq!(line.evaluate(Position(32_768)).rounded().0, 125); // t = 1/2

@@ -29,11 +29,11 @@ pub enum AdapterMessage {
 ///
 /// ```
 /// use trueup_link::slcan::{SlcanClient, AdapterMessage};
-/// let mut client = Client::new();
+/// let mut client = SlcanClient::new();
 /// let mut heard = b"\r\x07t70117F\r".iter().filter_map(|byte| client.receive(*byte));
-/// assert_eq!(heard.next(), Some(Event::Accepted));
-/// assert_eq!(heard.next(), Some(Event::Refused));
-/// assert!(matches!(heard.next(), Some(Event::Frame(frame)) if frame.payload() == [0x7F]));
+/// assert_eq!(heard.next(), Some(AdapterMessage::Accepted));
+/// assert_eq!(heard.next(), Some(AdapterMessage::Rejected));
+/// assert!(matches!(heard.next(), Some(AdapterMessage::Frame(frame)) if frame.payload() == [0x7F]));
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct SlcanClient {
