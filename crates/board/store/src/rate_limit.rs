@@ -9,11 +9,11 @@ pub const STORE_PERIOD_MS: u32 = 50;
 /// ```
 /// use trueup_store::rate_limit::{RateLimiter, STORE_PERIOD_MS};
 /// let mut pace = RateLimiter::default();
-/// let permit = pace.permit().expect("the first one at once");
+/// let permit = pace.store_permit().expect("the first one at once");
 /// pace.record(permit);
-/// assert!(pace.permit().is_none());
+/// assert!(pace.store_permit().is_none());
 /// pace.advance_time(STORE_PERIOD_MS);
-/// assert!(pace.permit().is_some());
+/// assert!(pace.store_permit().is_some());
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RateLimiter {
