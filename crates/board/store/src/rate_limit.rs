@@ -22,8 +22,11 @@ pub struct RateLimiter {
 
 /// The permission to store one record: whatever stores a paced one asks for it, and it cannot be made up.
 ///
+/// ```
+/// fn store(_permit: trueup_store::rate_limit::StorePermit) {}
+/// ```
 /// ```compile_fail,E0423
-/// let permit = trueup_store::pace::Permit(());
+/// let permit = trueup_store::rate_limit::StorePermit(());
 /// ```
 #[derive(Debug)]
 pub struct StorePermit(());
