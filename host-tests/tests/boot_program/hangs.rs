@@ -15,8 +15,12 @@ use crate::{
 /// Limits of the watchdog's oscillator (data sheet, LSI oscillator characteristics), in Hz.
 const LSI: [&str; 2] = ["17000", "47000"];
 /// Steps of the start: a part of the name of a function that it calls, from the first to the last.
-const STEPS: [&str; 4] =
-    ["__rtic_init_resources", "crystal16wait_for_capture", "sampling7Samples3arm", "OwnSlot6locate"];
+const STEPS: [&str; 4] = [
+    "__rtic_init_resources",
+    "crystal16wait_for_capture",
+    "sampling7Samples3arm",
+    "OwnSlot6locate",
+];
 /// A read of the store: neither of its two parts has been opened yet. Its name is that of a trait.
 const STORE: [&str; 3] = ["flash..Flash", "ReadNorFlash", "4read"];
 /// `b .` (Armv7-M manual, A7.7.12).
