@@ -24,7 +24,7 @@ use std::fmt;
 
 /// The readings at one target: positioning deviations in µm, actual minus target.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct TargetReadings {
+pub(crate) struct TargetReadings {
     /// The target position in mm.
     pub position_mm: f64,
     /// Of the arrivals in the positive direction; empty if there are none.
@@ -115,7 +115,7 @@ pub struct BidirectionalResults {
 
 /// Why there are no figures.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Iso230Error {
+pub(crate) enum Iso230Error {
     /// No target has an arrival.
     #[error("no target was measured")]
     Empty,
@@ -141,7 +141,7 @@ impl Iso230Results {
     /// # Errors
     /// No arrival at all, a single one in a direction in which the target was measured, or a value
     /// that is not finite.
-    pub fn from_targets(targets: &[TargetReadings]) -> Result<Self, Iso230Error> {
+    pub(crate) fn from_targets(targets: &[TargetReadings]) -> Result<Self, Iso230Error> {
         let targets: Vec<TargetResults> =
             targets.iter().map(TargetResults::from_readings).collect::<Result<_, _>>()?;
         let approaches =

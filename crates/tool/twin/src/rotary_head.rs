@@ -47,7 +47,7 @@ impl RotaryAxis {
 
 /// `straight` turned by the head's axes, which stand at `angles_deg`.
 #[must_use]
-pub fn rotate_tool_direction(
+pub(crate) fn rotate_tool_direction(
     axes: &[RotaryAxis],
     angles_deg: [f64; MAX_HEAD_AXES],
     straight: [f64; 3],
