@@ -33,12 +33,12 @@ const MEMORY_LINKER_SCRIPT: &str = "src/memory.x";
 /// Where the stack of the board that is flashed ends, and what lies below it.
 const STACK_GUARD_LINKER_SCRIPT: &str = "src/board/stm32f405/guard.x";
 /// The key of developers, whose private half is public.
-const DEVELOPMENT_PUBLIC_KEY: &str = "data/keys/development.pub.pem";
+const DEVELOPMENT_PUBLIC_KEY_FILE: &str = "data/keys/development.pub.pem";
 
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    let place = image_memory_layout();
-    fs::write(out.join("memory.x"), place.linker_script()).expect("OUT_DIR can be written");
+    let place = select_memory_layout();
+    fs::write(out.join("memory.x"), place.render_linker_script()).expect("OUT_DIR can be written");
     // The image checks itself from there on (`src/board/stm32f405/image_check.rs`).
     fs::write(out.join("start.in"), place.start.to_string()).expect("OUT_DIR can be written");
     println!("cargo:rerun-if-changed={MEMORY_LINKER_SCRIPT}");
@@ -72,7 +72,7 @@ struct MemoryLayout {
 
 impl MemoryLayout {
     /// Returns the script of the linker; for the board that is flashed with the guard below its stack.
-    fn linker_script(&self) -> String {
+    fn render_linker_script(&self) -> String {
         let Self { start, length, ram: (ram, ram_length) } = self;
         let mut memory = format!(
             "MEMORY {{ FLASH : ORIGIN = {start:#x}, LENGTH = {length} \
@@ -102,7 +102,7 @@ impl MemoryLayout {
 }
 
 /// Returns the place of this image.
-fn image_memory_layout() -> MemoryLayout {
+fn select_memory_layout() -> MemoryLayout {
     println!("cargo:rerun-if-env-changed=TRUEUP_SLOT");
     let ram = (0x2000_0000, 128 * 1024);
     let header = u32::try_from(HEADER_SIZE).expect("512");
@@ -137,7 +137,7 @@ fn ram_below_handover(ram: u32) -> (u32, u32) {
 /// Writes the public key of updates: the one that the user names, or that of developers.
 fn embed_public_key(out: &Path) {
     println!("cargo:rerun-if-env-changed=TRUEUP_KEY");
-    let given = env::var("TRUEUP_KEY").unwrap_or_else(|_| DEVELOPMENT_PUBLIC_KEY.into());
+    let given = env::var("TRUEUP_KEY").unwrap_or_else(|_| DEVELOPMENT_PUBLIC_KEY_FILE.into());
     println!("cargo:rerun-if-changed={given}");
     let key = fs::read_to_string(&given).map_err(|error| error.to_string());
     match key.and_then(|pem| PublicKey::from_pem(&pem).map_err(|fault| fault.to_string())) {

@@ -46,18 +46,18 @@ static COMPLETED_TASKS: AtomicU16 = AtomicU16::new(0);
 /// The mark of the task that runs.
 #[unsafe(link_section = ".uninit.RUNNING")]
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-static RUNNING_TASK: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
+static RUNNING_TASK_MARK: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
 
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
 fn running_task_mark() -> &'static AtomicU32 {
     // SAFETY: any bits are a value of it.
-    unsafe { RUNNING_TASK.assume_init_ref() }
+    unsafe { RUNNING_TASK_MARK.assume_init_ref() }
 }
 
 /// The mark is that of a task that hangs.
 static IS_HANG_ATTRIBUTED: AtomicBool = AtomicBool::new(false);
 
-fn set_running_mark(mark: u32) {
+fn set_running_task_mark(mark: u32) {
     if !IS_HANG_ATTRIBUTED.load(Ordering::Relaxed) {
         running_task_mark().store(mark, Ordering::Relaxed);
     }
@@ -65,7 +65,7 @@ fn set_running_mark(mark: u32) {
 
 /// Returns the number of the task that ran; 0: none is known. For a board with a watchdog of its own.
 #[cfg(feature = "stm32f405")]
-pub fn last_running_task() -> u8 {
+pub fn last_running_task_number() -> u8 {
     let [number, ..] =
         (running_task_mark().load(Ordering::Relaxed) ^ TASK_MARK_MAGIC).to_le_bytes();
     let is_mark = running_task_mark().load(Ordering::Relaxed) & !0xFF == TASK_MARK_MAGIC;
@@ -91,7 +91,7 @@ impl TaskGuard {
 pub fn begin_task(task: Task) -> TaskGuard {
     // Who interrupts between these two puts the mark back before this goes on.
     let before = running_task_mark().load(Ordering::Relaxed);
-    set_running_mark(TASK_MARK_MAGIC | task as u32);
+    set_running_task_mark(TASK_MARK_MAGIC | task as u32);
     #[cfg(feature = "faults")]
     crate::faults::hang_if_selected(task as u32);
     TaskGuard { task, before }
@@ -100,7 +100,7 @@ pub fn begin_task(task: Task) -> TaskGuard {
 impl Drop for TaskGuard {
     fn drop(&mut self) {
         COMPLETED_TASKS.fetch_or(1 << self.task as u16, Ordering::Relaxed);
-        set_running_mark(self.before);
+        set_running_task_mark(self.before);
     }
 }
 

@@ -13,7 +13,7 @@
 //! | task | trigger | priority | arrives | deadline | reads | writes |
 //! |---|---|---|---|---|---|---|
 //! | `serial_receive` | USART1, a pause or half a ring of bytes | 9 | 0.24 ms; 128 bytes, 10.8 µs each | 1.39 ms, the other half | USART1, DMA | byte queue |
-//! | `serial_moved` | DMA2 stream 2, half a ring of bytes | 9 | 1.39 ms | 1.39 ms | | |
+//! | `serial_dma_progress` | DMA2 stream 2, half a ring of bytes | 9 | 1.39 ms | 1.39 ms | | |
 //! | `sample` | DMA2 stream 0, 20 codes | 8 | 1 ms | 1 ms, the next block | samples, temperatures | node, port, CAN |
 //! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 10 | 95 µs; at 16 MHz 573 µs | 95 µs, the next byte at 115 200 Bd; at 16 MHz 573 µs, 19 200 Bd | USART3 | byte queues |
 //! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 7 | 2 ms; at 144 MHz never; at 16 MHz never | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
@@ -31,10 +31,10 @@
 //! millisecond, and the pieces that have left 2.4 times: each has what one of these has queued, or follows a full one of 1.38 ms. Without
 //! its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
 //!
-//! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
-//! docs/robustness.md): no task waits for half its deadline, on 16 MHz for two thirds. Interrupts are off for 12 µs at the
-//! longest, 110 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
-//! 16 MHz, and the serial line where its DMA is dead.
+//! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`; docs/robustness.md): no
+//! task waits for half its deadline, on 16 MHz for two thirds. Interrupts are off for 12 µs at the longest, 110 µs on 16 MHz,
+//! each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz, and the serial line where its
+//! DMA is dead.
 //!
 //! Each task says when it begins and ends a turn ([`liveness`]); the watchdog is fed by that. The tasks are the same on
 //! every board; [`board`] is what differs. `trueup-core` computes, `trueup-link` has the messages; both are tested on the host.
@@ -60,11 +60,11 @@ mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
         board::{
-            self, CalibrationBuffer, CanIn, CanOut, Codes, Idle, Rs485, Samples, SelfTest,
-            SerialIn, SerialOut, ServiceSwitch, SilenceTimer, Thermometers, TransmitState,
+            self, BlockCodes, CalibrationBuffer, CanRx, CanTx, Idle, Rs485, Sampler, SelfTest,
+            SerialRx, SerialTx, ServiceSwitch, SilenceTimer, Thermometers, TransmitState,
         },
         liveness::{self, Task},
-        plc::{SharedRegisters, queue_answer},
+        plc::{SharedRegisters, queue_response},
         startup::init_node_in_place,
         supervision::{SUPERVISOR_PERIOD_MS, Supervisor, log_live_values},
     };
@@ -110,16 +110,16 @@ mod app {
         /// Where it lies for good: it is large, and moving it would cost the stack its size each time.
         node: &'static mut Node<'static>,
         port: Port,
-        serial_out: SerialOut,
-        can_out: CanOut,
-        samples: Samples,
+        serial_out: SerialTx,
+        can_out: CanTx,
+        samples: Sampler,
         /// Readings of the thermometers, until a tick takes them.
         temperatures: Option<RawTemperatures>,
     }
 
     #[local]
     struct Local {
-        serial_in: SerialIn,
+        serial_in: SerialRx,
         rs485: Rs485,
         to_modbus: Producer<'static, RxByte>,
         from_modbus: Consumer<'static, u8>,
@@ -127,8 +127,8 @@ mod app {
         silence: SilenceTimer,
         received: Consumer<'static, RxByte>,
         answer: Producer<'static, u8>,
-        can_in_0: CanIn,
-        can_in_1: CanIn,
+        can_in_0: CanRx,
+        can_in_1: CanRx,
         thermometers: Thermometers,
         to_listen: Writer<'static, SERIAL_RX_QUEUE_LENGTH>,
         from_serial: Reader<'static, SERIAL_RX_QUEUE_LENGTH>,
@@ -163,7 +163,7 @@ mod app {
             questions: Faults::default().with_fault_if(parts.is_older, Fault::OlderCalibration),
             start: parts.start,
             serial_number: parts.serial_number,
-            commit: board::COMMIT_HASH,
+            commit: board::COMMIT_HASH_PREFIX,
             writes: references.last_writes().clone(),
         };
         let node = init_node_in_place(cx.local.place, parts.calibration.as_ref().ok(), configure);
@@ -172,14 +172,14 @@ mod app {
             if !node.restore_reference_status(standing, kept.taken) {
                 defmt::error!("the stored reference is larger than a correction may be: not used");
             }
-            node.set_supply_baseline(supply);
+            node.set_supply_baseline_level(supply);
         }
         if !parts.is_example {
             node.check_identity(kept.named, parts.chip);
         }
         let off_s = parts.backup.restore(parts.retained);
         match retained_state::load(parts.retained) {
-            None if board::COLD_AT_START => {}
+            None if board::IS_MACHINE_COLD_AT_START => {}
             kept => node.resume(kept.as_ref(), off_s),
         }
         let mut supervision = Supervisor::new(
@@ -238,7 +238,7 @@ mod app {
     fn sample(cx: sample::Context) {
         let _turn = liveness::begin_task(Task::Sample);
         let mut shared = cx.shared;
-        let mut codes = Codes::default();
+        let mut codes = BlockCodes::default();
         let Some(block) = shared.samples.lock(|adc| adc.take_block(&mut codes)) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
         let (codes, speed) = (Some(&codes), block.speed);
@@ -280,7 +280,7 @@ mod app {
 
     /// The ring of the DMA is half full or full, and the line has not paused.
     #[task(binds = DMA2_STREAM2, priority = 9)]
-    fn serial_moved(_: serial_moved::Context) {
+    fn serial_dma_progress(_: serial_dma_progress::Context) {
         rtic::pend(Interrupt::USART1);
     }
 
@@ -325,7 +325,7 @@ mod app {
         // Read behind the bytes: no time of theirs is later.
         let now_us = it.silence.now_us();
         if it.slave.poll(now_us, &mut SharedRegisters(cx.shared.node), it.response) {
-            queue_answer(it.answer, it.response);
+            queue_response(it.answer, it.response);
             rtic::pend(Interrupt::USART3);
         }
     }
@@ -337,13 +337,13 @@ mod app {
     fn supervise(cx: supervise::Context) {
         let turn = liveness::begin_task(Task::Supervise);
         let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
-        if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
+        if let Some(code) = shared.samples.lock(|samples| samples.read_internal_reference_code()) {
             shared.node.lock(|node| node.receive_supply_code(code));
         }
         let is_closed = cx.local.service_switch.is_closed();
         shared.node.lock(|node| node.update_service_switch(is_closed));
-        if it.are_samples_missing(shared.node.lock(|node| node.block_count())) {
-            shared.samples.lock(Samples::restart);
+        if it.are_samples_missing(shared.node.lock(|node| node.sample_block_count())) {
+            shared.samples.lock(Sampler::restart);
         }
         // This clock goes on whatever becomes of the samples, and with it every timeout.
         if let Some(behind_ms) = shared.node.lock(|node| node.advance_clock(SUPERVISOR_PERIOD_MS)) {
@@ -364,15 +364,13 @@ mod app {
             let outcome = it.store_calibration(&mut load);
             shared.node.lock(|node| node.finish_load(load, outcome));
         }
-        if let Some(blob) =
-            shared.node.lock(|node| node.take_calibration_drop().then(|| node.calibration_blob()))
-        {
+        if let Some(blob) = shared.node.lock(|node| node.take_calibration_to_restore()) {
             let is_stored = it.store_running_calibration(blob);
             shared.node.lock(|node| node.finish_calibration_drop(is_stored));
         }
         #[cfg(feature = "slots")]
         it.update_firmware(&mut shared.node);
-        let bus = shared.can_out.lock(CanOut::take_worst_state);
+        let bus = shared.can_out.lock(CanTx::take_worst_error_state);
         shared.node.lock(|node| {
             node.set_or_clear_fault(bus.warning, Fault::CanWarning);
             node.set_or_clear_fault(bus.passive, Fault::CanPassive);
@@ -401,9 +399,9 @@ mod app {
         #[cfg(feature = "faults")]
         crate::faults::inject_fault();
         self_test.run_step();
-        let free_stack = self_test.unused_stack_bytes();
+        let free_stack = self_test.scan_unused_stack_bytes();
         shared.node.lock(|node| {
-            node.set_free_stack(free_stack);
+            node.set_free_stack_bytes(free_stack);
             if self_test.is_damaged() {
                 node.set_self_test_failed();
             }
@@ -428,7 +426,7 @@ mod app {
         let _turn = liveness::begin_task(Task::Service);
         let mut shared = cx.shared;
         // It stays due, and the next tick asks again.
-        if shared.can_out.lock(CanOut::is_busy) {
+        if shared.can_out.lock(CanTx::is_busy) {
             return;
         }
         if let Some(frame) = shared.node.lock(|node| node.next_service_frame()) {
@@ -488,7 +486,7 @@ mod app {
     }
 
     /// Frames to both wires.
-    fn send_frames<const N: usize>(frames: &[Frame; N], can: &mut CanOut, port: &mut Port) {
+    fn send_frames<const N: usize>(frames: &[Frame; N], can: &mut CanTx, port: &mut Port) {
         for frame in frames {
             can.send(frame);
         }

@@ -16,7 +16,7 @@ pub struct SharedRegisters<N>(pub N);
 
 impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters<N> {
     fn input_registers(&mut self) -> input_block::InputRegisters {
-        self.0.lock(|node| node.input_data()).encode()
+        self.0.lock(|node| node.input_block()).encode()
     }
 
     fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
@@ -40,7 +40,7 @@ impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters
 /// Queues an answer to the PLC.
 // A function of its own in the image: its time is bounded by the requests (`cargo xtask bounds`).
 #[inline(never)]
-pub fn queue_answer(to_line: &mut Producer<'static, u8>, answer: &[u8]) {
+pub fn queue_response(to_line: &mut Producer<'static, u8>, answer: &[u8]) {
     for byte in answer {
         to_line.enqueue(*byte).ok();
     }

@@ -12,7 +12,7 @@ use trueup_store::{
 };
 
 use crate::{
-    board::{BackupDomain, BrownOut, Flash, StatusLed, Store, Watchdog, reference_store},
+    board::{BackupDomain, BrownOutLevel, Flash, StatusLed, Store, Watchdog, reference_store},
     liveness::{LivenessMonitor, TaskGuard},
 };
 
@@ -23,7 +23,7 @@ const LOG_PERIOD_MS: u32 = 1_000;
 /// State of the supervisor.
 pub struct Supervisor {
     watchdog: Watchdog,
-    brown_out: BrownOut,
+    brown_out: BrownOutLevel,
     lamp: StatusLed,
     references: ReferenceStore<Flash>,
     /// Where a loaded calibration is kept.
@@ -46,7 +46,7 @@ pub struct Supervisor {
 impl Supervisor {
     pub fn new(
         watchdog: Watchdog,
-        brown_out: BrownOut,
+        brown_out: BrownOutLevel,
         lamp: StatusLed,
         references: ReferenceStore<Flash>,
         store: Option<Store>,
@@ -124,7 +124,7 @@ impl Supervisor {
         self.store_pace.advance_time(SUPERVISOR_PERIOD_MS);
     }
 
-    /// Returns the permission where the store takes a record now: one in [`trueup_store::rate_limit::STORE_PERIOD_MS`].
+    /// Returns the permission where the store takes a record now: one in [`trueup_store::rate_limit::MIN_STORE_INTERVAL_MS`].
     pub fn store_permit(&self) -> Option<StorePermit> {
         self.store_pace.store_permit()
     }

@@ -13,12 +13,12 @@ use trueup_bounds::{
 use trueup_checks::timing_bounds;
 use trueup_emulator::{firmware_images, setup};
 use trueup_modbus::{rtu::FrameTiming, server::MIN_REQUEST_BYTES};
-use trueup_store::{rate_limit::STORE_PERIOD_MS, write_log::WriteKind};
+use trueup_store::{rate_limit::MIN_STORE_INTERVAL_MS, write_log::WriteKind};
 
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
     IMAGE.get_or_init(|| {
-        firmware_images::build_image_for_machine(
+        firmware_images::build_standalone_image(
             &setup::project_root().join("data/paper_spindle.toml"),
         )
         .unwrap()
@@ -37,19 +37,19 @@ const SHOWN: &[&str] = &[
     "168 MHz can_receive_0",
     "168 MHz can_receive_1",
     "168 MHz serial_receive",
-    "168 MHz serial_moved",
+    "168 MHz serial_dma_progress",
     "168 MHz listen",
     "168 MHz modbus_line",
     "168 MHz transmit",
     "144 MHz sample",
     "144 MHz serial_receive",
-    "144 MHz serial_moved",
+    "144 MHz serial_dma_progress",
     "144 MHz listen",
     "144 MHz modbus_line",
     "144 MHz service",
     "144 MHz transmit",
     "16 MHz serial_receive",
-    "16 MHz serial_moved",
+    "16 MHz serial_dma_progress",
     "16 MHz modbus_line",
 ];
 
@@ -115,7 +115,7 @@ fn rates_are_those_that_the_code_keeps() {
         assert!(period_us("server::execute_request") <= request_us);
     }
     let records = period_us("trueup_store::reference::ReferenceStore<F>::append");
-    assert_eq!(records, 1_000.0 * f64::from(STORE_PERIOD_MS));
+    assert_eq!(records, 1_000.0 * f64::from(MIN_STORE_INTERVAL_MS));
 }
 
 /// The tasks of `src/main.rs`, each with its text.

@@ -25,7 +25,7 @@ use trueup_machine::{
     Machine, MachineFile, RunFile,
     applied_offsets::UncompensatedRun,
     compile,
-    inputs::{CountScale, LinearInput, TemperatureKind},
+    inputs::{CountScale, LinearInput, TemperatureInputKind},
     machine_file::Quantity,
 };
 use trueup_node::node::{Interface, Node};
@@ -42,7 +42,7 @@ const HELD_MS: u32 = 800;
 const ROW_S: f64 = 30.0;
 const ROWS: usize = 240;
 /// 2 V at 0 °C and 10 K/V, through the divider of the wiring.
-const LINEAR: TemperatureKind = TemperatureKind::Linear(LinearInput {
+const LINEAR: TemperatureInputKind = TemperatureInputKind::Linear(LinearInput {
     zero_counts: 2.0,
     counts_per_c: 0.1,
     scale: CountScale::Volt { full_scale_v: 10.0, divider: 0.328 },
@@ -121,7 +121,7 @@ impl<'a> Loop<'a> {
     fn hold(&mut self, volts: f64, screw_c: f64, x_mm: f64, engage: bool) -> Output {
         let mut temperatures: RawTemperatures =
             [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT];
-        temperatures[0] = replay::raw_reading(LINEAR, screw_c);
+        temperatures[0] = replay::raw_reading_from_celsius(LINEAR, screw_c);
         for _ in 0..HELD_MS {
             if self.ms.is_multiple_of(20) {
                 // Engaged once, because before that nothing is available, off neither.
@@ -184,8 +184,8 @@ fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, facto
                 &DriveCommand { position_mm, spindle_rpm, ..DriveCommand::default() },
             );
         }
-        let volts = truth.sensor_volts().unwrap_or(0.0);
-        let screw_c = truth.temperatures_c()[0].1;
+        let volts = truth.read_sensor_volts().unwrap_or(0.0);
+        let screw_c = truth.read_temperatures_c()[0].1;
         let output = board.hold(volts, screw_c, x_mm, engaged.at(row));
         let offset_um = output.offset.map(|all| all.map(|nm| f64::from(nm.0) / 1000.0));
         // The CNC moves the tool by what the bridge says; without a word it stays where it is.

@@ -10,7 +10,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_campaigns::hidden_effects::{HiddenCause, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw_test_case};
 use trueup_core::{
     cnc::{Control, Output, SpindleState},
     temperature_channels::RawTemperatures,
@@ -220,7 +220,7 @@ fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_me
 
 /// A hidden effect of the virtual machine; the truth is not read.
 fn hidden(cause: HiddenCause, seed: u64, has_memory: bool) {
-    let test_case = draw(cause, 10.0, seed);
+    let test_case = draw_test_case(cause, 10.0, seed);
     let training: Vec<RunFile> = test_case.runs.iter().map(|text| run(text)).collect();
     let holdout = if has_memory {
         let whole = run(&test_case.holdout);

@@ -189,7 +189,7 @@ fn pymodbus_and_mbpoll_read_it_over_a_serial_line() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
-    let Some(_linuxcnc) = setup::ensure_linuxcnc()? else {
+    let Some(_linuxcnc) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

@@ -7,7 +7,7 @@ use support::bench::{self, Bench};
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
     cnc::{Control, OffsetQuality, Output},
-    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
+    learned_changes::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
 };
 use trueup_learn::LiveUpdate;
 use trueup_machine::{Machine, compile, machine_file::LearnedChangeLimits};

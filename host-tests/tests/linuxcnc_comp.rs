@@ -123,7 +123,7 @@ fn files(export: &ExportResult) -> Vec<(String, String)> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -175,7 +175,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

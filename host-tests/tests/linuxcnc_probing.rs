@@ -49,7 +49,7 @@ struct Cnc {
 
 impl Cnc {
     fn start(units: &str) -> Result<Option<Self>> {
-        let Some(control) = setup::ensure_linuxcnc()? else {
+        let Some(control) = setup::install_and_lock_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(None);
         };
@@ -336,7 +336,7 @@ fn stops_the_job_with_the_old_zero(cnc: &mut Cnc) -> Result<()> {
 #[test]
 fn the_interpreter_alone_probes_in_machine_coordinates_and_keeps_the_modes() -> Result<()> {
     // The interpreter reads the pins of a LinuxCNC that runs, or that was killed.
-    let Some(_linuxcnc) = setup::ensure_linuxcnc()? else {
+    let Some(_linuxcnc) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: LinuxCNC is not packaged here");
         return Ok(());
     };

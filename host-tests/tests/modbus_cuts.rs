@@ -100,7 +100,7 @@ struct Direct<'n, 'b>(&'n mut Node<'b>);
 
 impl RegisterStore for Direct<'_, '_> {
     fn input_registers(&mut self) -> InputRegisters {
-        self.0.input_data().encode()
+        self.0.input_block().encode()
     }
 
     fn holding_registers(&mut self) -> holding_block::HoldingRegisters {

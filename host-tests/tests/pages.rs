@@ -4,7 +4,7 @@
 use std::{fmt::Write as _, fs, path::Path, process::Command};
 
 use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
-use trueup_campaigns::{faulty_machine::SeparableFaultMachine, run_table::parse_run};
+use trueup_campaigns::{faulty_machine::SeparableFaultMachine, run_file::parse_run};
 use trueup_demo::{
     hidden_fault_demo::run_hidden_fault_demo,
     html_report,
@@ -21,7 +21,7 @@ use trueup_emulator::{
     process, setup,
 };
 use trueup_fleet::{
-    estimated_constants::{EstimatedConstant, NamedFinding},
+    findings::{EstimatedConstant, NamedFinding},
     random_effects::Estimate,
     record::MachineRecord,
 };
@@ -155,9 +155,12 @@ fn circle() -> String {
     let folder = setup::project_root().join("data/mill");
     let machine = MachineFile::read(&folder.join("mill.toml")).expect("the project's own");
     let run = |way| RunFile::read(&folder.join(format!("circle-{way}.csv"))).expect("the same");
-    let report = trueup_fit::circle::fit_circles(&["ccw", "cw"].map(run), Some(&machine));
-    trueup_fit::circle::build_page(&report.expect("a circle"), &trueup_page::Provenance::default())
-        .to_html()
+    let report = trueup_fit::circle::analyse_circles(&["ccw", "cw"].map(run), Some(&machine));
+    trueup_fit::circle::build_circle_page(
+        &report.expect("a circle"),
+        &trueup_page::Provenance::default(),
+    )
+    .to_html()
 }
 
 fn fleet() -> String {

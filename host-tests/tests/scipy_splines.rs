@@ -20,7 +20,10 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use serde_json::{Value, json};
 use trueup_emulator::setup;
 use trueup_fit::{
-    bspline::{clamped_knots, evaluate_with_derivatives, fit_least_squares_spline, is_determined},
+    bspline::{
+        clamped_knots, evaluate_with_derivatives, fit_least_squares_spline,
+        satisfies_schoenberg_whitney,
+    },
     straightness::{StraightnessFitOptions, fit},
 };
 use trueup_machine::machine_file::BSpline;
@@ -114,7 +117,7 @@ fn least_squares_in_random_knots_is_scipys() -> Result<()> {
         x.dedup();
         let y: Vec<f64> = x.iter().map(|_| random.random_range(-50.0..50.0)).collect();
         let weight: Vec<f64> = x.iter().map(|_| random.random_range(0.2..5.0)).collect();
-        let determined = is_determined(&knots_mm, order, x.iter().copied());
+        let determined = satisfies_schoenberg_whitney(&knots_mm, order, x.iter().copied());
         let points = x.iter().zip(&y).zip(&weight).map(|((&x, &y), &weight)| (x, y, weight));
         let fit = fit_least_squares_spline(knots_mm.clone(), order, points).filter(|_| determined);
         // Where a coefficient hangs on a hair, both are right and differ.

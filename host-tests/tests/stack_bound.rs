@@ -43,7 +43,7 @@ fn is_known(name: &str) -> bool {
 fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
     let machine = setup::project_root().join("data/paper_spindle.toml");
     let graph =
-        CallGraph::read(&firmware_images::build_image_for_machine(&machine).unwrap()).unwrap();
+        CallGraph::read(&firmware_images::build_standalone_image(&machine).unwrap()).unwrap();
     let mut blind = BTreeSet::new();
     let mut of = |name: &str, without: &[&str]| {
         let without: Vec<&str> = APART.iter().chain(without).copied().collect();

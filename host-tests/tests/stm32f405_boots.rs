@@ -24,7 +24,7 @@ use trueup_link::{
 /// Boots the image, opens the serial line and waits for offsets. Gives them with the time from the
 /// start of QEMU, and the log.
 fn boot() -> Result<(Output, Duration, Vec<String>)> {
-    let image = firmware_images::build(Board::Stm32f405)?;
+    let image = firmware_images::build_board_image(Board::Stm32f405)?;
     setup::ensure_qemu()?;
     let started = Instant::now();
     let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
@@ -101,7 +101,7 @@ fn it_boots_with_everything_dead_reports_it_and_sends_not_available() {
 
 #[test]
 fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
-    let image = firmware_images::build(Board::Stm32f405).expect("it builds");
+    let image = firmware_images::build_board_image(Board::Stm32f405).expect("it builds");
     let bytes = std::fs::read(image.with_extension("bin")).expect("the bytes beside the image");
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
     // The boot program, and the application behind the header of slot A.
@@ -122,7 +122,7 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
 #[test]
 fn the_images_have_code_and_leave_room() {
     for board in Board::ALL {
-        let image = firmware_images::build(board).expect("it builds");
+        let image = firmware_images::build_board_image(board).expect("it builds");
         let size =
             trueup_emulator::memory_usage::measure_memory_usage(&image).expect("it has code");
         println!("{}: {size:?}", board.cargo_feature());

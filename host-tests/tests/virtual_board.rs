@@ -160,7 +160,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
     let mut board = boot();
     let mut front_end = AnalogueFrontEnd::new(0.328, 1);
     let mut cnc =
-        CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
+        CncClient::open(board.open_buffered_serial().expect("a line")).expect("an open channel");
     for _ in 0..20 {
         let control = Control::ENGAGED;
         cnc.send_message(CncMessage::Control(control)).expect("accepted");
@@ -230,7 +230,7 @@ fn a_board_without_clients_is_much_faster_than_time() {
 fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
     let mut board = boot();
     let mut cnc =
-        CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
+        CncClient::open(board.open_buffered_serial().expect("a line")).expect("an open channel");
     for bad in ["t30", "X", "S9"] {
         let refused = cnc.query(bad).expect_err("a line that is none");
         assert!(refused.to_string().contains(bad), "{refused}");

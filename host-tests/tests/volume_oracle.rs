@@ -247,7 +247,7 @@ fn the_volume_errs_as_homogeneous_transforms_say() -> Result<()> {
 /// Returns the errors of a board with this calibration at a pose in its own units, in nm.
 fn of_board_nm(calibration: &Calibration<'_>, place: &MachinePosition) -> [f64; 3] {
     let sums = calibration
-        .axis_errors(&MachineThermalState::default(), place)
+        .compute_axis_errors(&MachineThermalState::default(), place)
         .clamped_sums(UNLIMITED)
         .sums;
     sums.map(|sum| f64::from(sum.0) / 256.0)

@@ -35,11 +35,11 @@ use trueup_core::{
     reversal::Fraction,
     revolution_window::RevolutionWindow,
     run_out_filter::RunOutFilter,
-    sensor_health::SensorHealth,
+    sensor_health::SensorHealthMonitor,
     thermal_state::MachineThermalState,
     units::{AdcCode, FineNanometres, MicroDegrees, Nanometres, Position, Rpm, SensorReading},
     volumetric_error::{
-        AngularErrorCurve, AngularErrors, KinematicChain, RotaryLocation, VolumetricErrorModel,
+        AngularErrorCurve, AngularErrors, KinematicChain, RotaryAxisLocation, VolumetricErrorModel,
     },
 };
 use trueup_link::frames;
@@ -119,7 +119,7 @@ fn read_instruction_counter() -> u32 {
 
 /// Instructions from one reading of the clock to the next, around one call.
 #[inline(never)]
-fn raw_call_cost(work: &mut dyn FnMut()) -> u16 {
+fn measure_raw_call_cost(work: &mut dyn FnMut()) -> u16 {
     let work = black_box(work);
     let start = read_instruction_counter();
     work();
@@ -128,8 +128,8 @@ fn raw_call_cost(work: &mut dyn FnMut()) -> u16 {
 }
 
 /// Returns the cost of `work` beyond that of nothing.
-fn net_call_cost(work: &mut dyn FnMut()) -> u16 {
-    raw_call_cost(work).saturating_sub(raw_call_cost(&mut || ()))
+fn measure_net_call_cost(work: &mut dyn FnMut()) -> u16 {
+    measure_raw_call_cost(work).saturating_sub(measure_raw_call_cost(&mut || ()))
 }
 
 /// Smallest, median and largest.
@@ -162,8 +162,8 @@ fn measure_tick(
     let mut live = 0;
     for ((tick, hear), both) in ticks.iter_mut().zip(received.iter_mut()).zip(both.iter_mut()) {
         run.draw_vector();
-        *hear = net_call_cost(&mut || run.receive());
-        *tick = net_call_cost(&mut || {
+        *hear = measure_net_call_cost(&mut || run.receive());
+        *tick = measure_net_call_cost(&mut || {
             black_box(&run.tick());
         });
         *both = *hear + *tick;
@@ -200,7 +200,7 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
         let angles =
             [180_000_000, 110_000_000].map(|most| MicroDegrees(random.next_signed_within(most)));
         let elongation = Nanometres(random.next_signed_within(200_000));
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(&kinematics.tool_direction(angles).project_elongation_fine(elongation));
         })
     });
@@ -208,7 +208,7 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
     let limits = calibration.limits;
     part("limits", &mut |random| {
         let target = [(); 3].map(|()| Nanometres(random.next_signed_within(400_000)));
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(applied.step(&limits, target, 1));
         })
     });
@@ -217,7 +217,7 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
         let output =
             Output { offset, quality: OffsetQuality::Live, flags: OffsetFlags::NONE, age_ms: 1 };
         let counter = random.next_u32() as u8;
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(&[
                 frames::encode_offset_xy(&output, counter),
                 frames::encode_offset_z(&output, counter),
@@ -228,17 +228,17 @@ fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut St
 
 /// Measures from the samples to the elongation.
 fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>) {
-    let mut health = SensorHealth::default();
+    let mut health = SensorHealthMonitor::default();
     part("health", &mut |random| {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|_| AdcCode(700 + (random.next_u32() & 7) as u16));
-        net_call_cost(&mut || {
-            black_box(&health.check_codes(&codes, true));
+        measure_net_call_cost(&mut || {
+            black_box(&health.check_and_clean_codes(&codes, true));
         })
     });
     part("window", &mut |random| {
         let speed = Some(Rpm(random.next_u32() as u16));
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(&RevolutionWindow::for_speed(speed));
         })
     });
@@ -249,14 +249,14 @@ fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'
     part("filter", &mut |random| {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|_| AdcCode(700 + (random.next_u32() & 7) as u16));
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(filter.tick(&codes, Some(Rpm(18_000))));
         })
     });
     let sensor = calibration.spindle.sensor;
     part("elongation", &mut |random| {
         let reading = SensorReading(random.next_below(4_095 << 10).cast_signed());
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             black_box(sensor.elongation(reading));
         })
     });
@@ -267,7 +267,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>
     part("thermal", &mut |random| {
         let places = random_position(random);
         let gradients = [(); 3].map(|()| Gradient(random.next_signed_within(20_000_000)));
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             let mut sums = [FineNanometres::ZERO; 3];
             for ((sum, gradient), at) in sums.iter_mut().zip(&gradients).zip(&places) {
                 *sum = gradient.error_over_travel(Position(250_000_000), *at);
@@ -279,7 +279,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>
     part("straightness6", &mut |random| {
         let [x, y, z] = random_position(random);
         let places = [y, z, x, z, x, y];
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             let mut sum = FineNanometres::ZERO;
             for (curve, at) in curves.iter().zip(&places) {
                 sum = sum.saturating_add(curve.evaluate(*at).0);
@@ -295,7 +295,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>
         let [x, y, _] = random_position(random);
         let places = [x, x, y];
         let blend = Fraction(random.next_u32() >> 1);
-        net_call_cost(&mut || {
+        measure_net_call_cost(&mut || {
             let mut sum = FineNanometres::ZERO;
             for (table, at) in tables.iter().zip(&places) {
                 sum = sum.saturating_add(table.error_at(*at, blend).0);
@@ -309,9 +309,11 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>
     part("moved", &mut |random| {
         at.position = random_position(random);
         let axis = LinearAxis::ALL[random.next_below(3) as usize];
-        net_call_cost(&mut || cached.update_axis_position(calibration, &heat, &at, axis))
+        measure_net_call_cost(&mut || cached.update_axis_position(calibration, &heat, &at, axis))
     });
-    part("added_up", &mut |_| net_call_cost(&mut || cached.sum_parts(calibration, &at)));
+    part("added_up", &mut |_| {
+        measure_net_call_cost(&mut || cached.sum_guideway_errors(calibration, &at))
+    });
     black_box(cached.errors());
     measure_volumetric_parts(calibration, part);
 }
@@ -319,7 +321,7 @@ fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut PartMeasurer<'_>
 /// Returns the calibration with all nine angles as curves and two rotary axes under the workpiece, the most there can be.
 fn with_volumetric_errors<'c>(calibration: &Calibration<'c>) -> Calibration<'c> {
     let [a, b, c, d, e, f] = calibration.straightness;
-    let line = |axis, tilt| RotaryLocation {
+    let line = |axis, tilt| RotaryAxisLocation {
         axis,
         moves_workpiece: true,
         point: [Position(30_000_000); 3],
@@ -348,13 +350,15 @@ fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut PartMeasur
     part("moved_volume", &mut |random| {
         at.position = random_position(random);
         let axis = LinearAxis::ALL[random.next_below(3) as usize];
-        net_call_cost(&mut || cached.update_axis_position(&calibration, &heat, &at, axis))
+        measure_net_call_cost(&mut || cached.update_axis_position(&calibration, &heat, &at, axis))
     });
     part("turned_volume", &mut |random| {
         at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.next_signed_within(most)));
-        net_call_cost(&mut || cached.update_rotary_angles(&calibration, &at))
+        measure_net_call_cost(&mut || cached.update_rotary_angles(&calibration, &at))
     });
-    part("added_up_volume", &mut |_| net_call_cost(&mut || cached.sum_parts(&calibration, &at)));
+    part("added_up_volume", &mut |_| {
+        measure_net_call_cost(&mut || cached.sum_guideway_errors(&calibration, &at))
+    });
     black_box(cached.errors());
 }
 

@@ -2,15 +2,15 @@
 //!
 //! | part | `stm32f405` | `virtual` |
 //! |---|---|---|
-//! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block; VREFINT between them | blocks by semihosting from the host |
-//! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
+//! | [`Sampler`] | TIM3 → ADC1 → DMA2, 20 codes a block; VREFINT between them | blocks by semihosting from the host |
+//! | [`SerialRx`], [`SerialTx`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
 //! | [`Rs485`], [`SilenceTimer`] | USART3, bytes by interrupt; TIM5 | none |
-//! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
+//! | [`CanRx`], [`CanTx`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
 //! | [`Thermometers`] | 8 MAX31865 on SPI2, linear inputs by ADC2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
 //! | [`Store`] of a new calibration | two more sectors | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
-//! | [`BrownOut`] | level 3, in the option bytes | none |
+//! | [`BrownOutLevel`] | level 3, in the option bytes | none |
 //! | [`SelfTest`] | RAM, image, registers, stack | none |
 //! | [`StatusLed`] | LED | none |
 //! | [`ServiceSwitch`] | PB7 to ground | comes with the samples |
@@ -57,7 +57,7 @@ pub use r#virtual::*;
 pub type CalibrationBuffer = [u8; trueup_store::calibration::MAX_BLOB_SIZE];
 
 /// From which commit of the source the image was built: the first 32 bits of its hash; 0: it is not known.
-pub const COMMIT_HASH: u32 = match u32::from_str_radix(env!("TRUEUP_COMMIT"), 16) {
+pub const COMMIT_HASH_PREFIX: u32 = match u32::from_str_radix(env!("TRUEUP_COMMIT"), 16) {
     Ok(commit) => commit,
     Err(_) => 0,
 };
@@ -68,7 +68,7 @@ pub const CODES_PER_BLOCK: usize = 20;
 pub const TEMPERATURE_CHANNEL_COUNT: usize = 8;
 
 /// The codes of a block: they are read into the place where they are used.
-pub type Codes = [AdcCode; CODES_PER_BLOCK];
+pub type BlockCodes = [AdcCode; CODES_PER_BLOCK];
 
 /// One millisecond of samples, in addition to its codes.
 pub struct Block {
@@ -152,23 +152,23 @@ pub struct PlcInterface {
 
 /// A board that is up, in parts, each for one task.
 pub struct Parts {
-    pub samples: Samples,
-    pub serial_in: SerialIn,
-    pub serial_out: SerialOut,
+    pub samples: Sampler,
+    pub serial_in: SerialRx,
+    pub serial_out: SerialTx,
     pub plc: PlcInterface,
     /// One for each interrupt.
-    pub can_in: [CanIn; 2],
-    pub can_out: CanOut,
+    pub can_in: [CanRx; 2],
+    pub can_out: CanTx,
     pub watchdog: Watchdog,
     /// Pending change of the supply's lowest level.
-    pub brown_out: BrownOut,
+    pub brown_out: BrownOutLevel,
     pub lamp: StatusLed,
     pub idle: Idle,
     pub thermometers: Thermometers,
     pub service_switch: ServiceSwitch,
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The store of references and writes, and what it holds for the start.
-    pub references: (ReferenceStore<Flash>, reference_store::StoredState),
+    pub references: (ReferenceStore<Flash>, reference_store::StoredReferenceState),
     pub faults: StartupFaults,
     /// How the board came to run.
     pub start: ResetInfo,

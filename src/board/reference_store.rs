@@ -17,7 +17,7 @@ pub fn open<F: NorFlash>(
     flash: F,
     calibration: u32,
     mut feed: impl FnMut(),
-) -> (ReferenceStore<F>, StoredState) {
+) -> (ReferenceStore<F>, StoredReferenceState) {
     let (mut references, found) = ReferenceStore::open_with_progress(flash, calibration, &mut feed);
     feed();
     let ScanResult { standing, is_new, taken, supply, named, foreign, damaged } = found;
@@ -47,12 +47,12 @@ pub fn open<F: NorFlash>(
         Err(error) => defmt::error!("dead: store of references, {}", error),
     }
     let standing = standing.map(|(_, standing)| (standing, supply));
-    (references, StoredState { standing, taken, named })
+    (references, StoredReferenceState { standing, taken, named })
 }
 
 /// Content of the store at the start.
 #[derive(Clone, Copy, Default)]
-pub struct StoredState {
+pub struct StoredReferenceState {
     /// Standing of the calibration's reference, and the level of the supply that it counts from.
     pub standing: Option<(ReferenceStatus, InternalReferenceLevel)>,
     /// The write that has taken the reference.
@@ -67,7 +67,7 @@ pub fn store_reference_status<F: NorFlash>(
     standing: ReferenceStatus,
     supply: InternalReferenceLevel,
 ) -> bool {
-    references.set_supply_baseline(supply);
+    references.set_supply_baseline_level(supply);
     match references.append(standing) {
         Ok(number) => {
             let (offered, stored) = (defmt::intern!("offered"), defmt::intern!("stored"));

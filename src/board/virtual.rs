@@ -51,20 +51,20 @@ use trueup_store::calibration;
 use crate::liveness::{self, Task};
 
 use super::{
-    Block, CanErrorState, Codes, Parts, PlcInterface, StartupFaults, TEMPERATURE_CHANNEL_COUNT,
-    TransmitState, reference_store, retained_ram,
+    Block, BlockCodes, CanErrorState, Parts, PlcInterface, StartupFaults,
+    TEMPERATURE_CHANNEL_COUNT, TransmitState, reference_store, retained_ram,
 };
 
 use defmt_semihosting as _;
 pub use flash::Flash;
-pub use stubs::{BackupDomain, BrownOut, Rs485, SelfTest, SilenceTimer, StatusLed, Watchdog};
+pub use stubs::{BackupDomain, BrownOutLevel, Rs485, SelfTest, SilenceTimer, StatusLed, Watchdog};
 
 /// Blocks that the host has announced and the board has not read.
 static ANNOUNCED_BLOCKS: AtomicU32 = AtomicU32::new(0);
 /// The sample clock, for the time stamps of frames.
 static NOW_MS: AtomicU32 = AtomicU32::new(0);
 /// The block that `DMA2_STREAM0` is about to take.
-static RECEIVED_BLOCK: Mutex<RefCell<Option<(Codes, Block)>>> = Mutex::new(RefCell::new(None));
+static RECEIVED_BLOCK: Mutex<RefCell<Option<(BlockCodes, Block)>>> = Mutex::new(RefCell::new(None));
 /// Frames that `CAN1_RX0` is about to take: it empties this before the next block comes.
 static CAN_RX_QUEUE: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
 const _: () = assert!(pipe::FRAMES_PER_BLOCK <= 8);
@@ -77,7 +77,7 @@ static IS_SWITCH_CLOSED: AtomicBool = AtomicBool::new(false);
 static IS_RESTART_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// A process that starts is a machine that was cold for a day, as `predict` takes it.
-pub const COLD_AT_START: bool = true;
+pub const IS_MACHINE_COLD_AT_START: bool = true;
 
 /// Raises the transmitter: no tick comes before the host sends samples, and the host may wait for an answer.
 pub fn transmit_without_tick() {
@@ -125,7 +125,8 @@ pub fn start(
     let mut is_older = false;
     if calibration::decode(&blob[..length]).is_err() {
         is_older = length > 0;
-        length = open_file(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
+        length =
+            open_file(c"calibration.bin").map_or(0, |mut file| read_until_full(&mut file, blob));
     }
     let blob: &'static [u8] = blob;
     let blob = calibration::validate_blob(&blob[..length]);
@@ -142,19 +143,19 @@ pub fn start(
     nb::block!(ready.write(b'R')).expect("a USART cannot fail to send");
 
     Parts {
-        samples: Samples,
-        serial_in: SerialIn(serial_in),
-        serial_out: SerialOut(serial_out),
+        samples: Sampler,
+        serial_in: SerialRx(serial_in),
+        serial_out: SerialTx(serial_out),
         plc: PlcInterface {
             unit: 1,
             timing: FrameTiming::from_baud(19_200),
             line: Rs485,
             silence: SilenceTimer,
         },
-        can_in: [CanIn, CanIn],
-        can_out: CanOut,
+        can_in: [CanRx, CanRx],
+        can_out: CanTx,
         watchdog: Watchdog,
-        brown_out: BrownOut,
+        brown_out: BrownOutLevel,
         lamp: StatusLed,
         idle: Idle { samples, frames, buffer },
         thermometers: Thermometers,
@@ -180,7 +181,7 @@ fn open_file(name: &core::ffi::CStr) -> Option<File> {
 }
 
 /// Reads until the buffer is full or the file ends; gives the number of bytes.
-fn read_all(file: &mut File, buffer: &mut [u8]) -> usize {
+fn read_until_full(file: &mut File, buffer: &mut [u8]) -> usize {
     let mut length = 0;
     while let Ok(more @ 1..) = file.read(&mut buffer[length..]) {
         length += more;
@@ -201,10 +202,10 @@ fn USART2() {
 }
 
 /// Where samples come from: what [`Idle`] has read.
-pub struct Samples;
+pub struct Sampler;
 
-impl Samples {
-    pub fn take_block(&mut self, codes: &mut Codes) -> Option<Block> {
+impl Sampler {
+    pub fn take_block(&mut self, codes: &mut BlockCodes) -> Option<Block> {
         let (received, block) = cortex_m::interrupt::free(|cs| RECEIVED_BLOCK.borrow(cs).take())?;
         *codes = received;
         Some(block)
@@ -214,7 +215,7 @@ impl Samples {
     pub fn restart(&mut self) {}
 
     /// Nor one that has a supply.
-    pub fn internal_reference(&mut self) -> Option<AdcCode> {
+    pub fn read_internal_reference_code(&mut self) -> Option<AdcCode> {
         None
     }
 }
@@ -229,9 +230,9 @@ impl ServiceSwitch {
 }
 
 /// Bytes from the CNC.
-pub struct SerialIn(Rx<USART1>);
+pub struct SerialRx(Rx<USART1>);
 
-impl SerialIn {
+impl SerialRx {
     pub fn read(&mut self, mut take: impl FnMut(u8)) {
         while let Ok(byte) = self.0.read() {
             take(byte);
@@ -240,9 +241,9 @@ impl SerialIn {
 }
 
 /// Bytes to the CNC.
-pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART")] Tx<USART1>);
+pub struct SerialTx(#[expect(dead_code, reason = "holds that half of the USART")] Tx<USART1>);
 
-impl SerialOut {
+impl SerialTx {
     /// Sends all that waits, which `fill` gives a piece at a time, byte by byte.
     pub fn send(
         &mut self,
@@ -277,20 +278,20 @@ impl SerialOut {
 }
 
 /// Frames from the bus, which on this board come with the samples.
-pub struct CanIn;
+pub struct CanRx;
 
-impl CanIn {
+impl CanRx {
     pub fn receive(&mut self) -> Option<Frame> {
         cortex_m::interrupt::free(|cs| CAN_RX_QUEUE.borrow(cs).borrow_mut().pop_front())
     }
 }
 
 /// Frames to the bus, which on this board go to the host by the batch.
-pub struct CanOut;
+pub struct CanTx;
 
-impl CanOut {
+impl CanTx {
     /// There is no bus to be off.
-    pub fn take_worst_state(&mut self) -> CanErrorState {
+    pub fn take_worst_error_state(&mut self) -> CanErrorState {
         CanErrorState::default()
     }
 
@@ -323,7 +324,7 @@ pub struct Store;
 impl Store {
     /// Reads its bytes into `place`. Returns how many there are.
     fn load(place: &mut [u8]) -> usize {
-        open_file(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
+        open_file(c"loaded.bin").map_or(0, |mut file| read_until_full(&mut file, place))
     }
 
     /// Stores a calibration. Returns whether it was stored.
@@ -384,7 +385,7 @@ impl Idle {
     /// Reads announced blocks, no more of them than fit the buffer, and lives through them.
     fn process_blocks(&mut self, count: usize) {
         let bytes = &mut self.buffer[..count * pipe::BLOCK_SIZE];
-        if read_all(&mut self.samples, bytes) < bytes.len() {
+        if read_until_full(&mut self.samples, bytes) < bytes.len() {
             defmt::panic!("the host closed the samples in the middle of a block");
         }
         for bytes in bytes.as_chunks().0 {
@@ -407,7 +408,7 @@ impl Idle {
                 received |= from_bus.push_back(frame).is_ok();
             }
             IS_SWITCH_CLOSED.store(block.service_switch, Ordering::Relaxed);
-            let codes: Codes = block.codes;
+            let codes: BlockCodes = block.codes;
             let temperatures: Option<[_; TEMPERATURE_CHANNEL_COUNT]> = Some(block.temperatures);
             let rest = Block { speed: block.speed, temperatures };
             RECEIVED_BLOCK.borrow(cs).replace(Some((codes, rest)));

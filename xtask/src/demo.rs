@@ -81,7 +81,7 @@ pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
     let summary = DemoSummary::new(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
     fs::create_dir_all(&folder)?;
     if let Some(two) = &two {
-        fs::write(folder.join("act-two.svg"), html_report::hidden_fault_svg(two))?;
+        fs::write(folder.join("act-two.svg"), html_report::render_hidden_fault_svg(two))?;
     }
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
     fs::write(folder.join("report.html"), html_report::render_page(&one, two.as_ref()))?;

@@ -162,6 +162,9 @@ enum Command {
         /// The same names again.
         #[arg(long)]
         seed: Option<u64>,
+        /// Draws from the sources of another project instead: what readers reject there shows how strict they are.
+        #[arg(long)]
+        root: Option<PathBuf>,
     },
     /// Makes the Debian package of the host tool, in target/debian.
     Deb {
@@ -288,7 +291,7 @@ fn main() -> ExitCode {
             trueup_output::write_line_best_effort(built.update.display());
         }),
         Command::Measure => benchmark::run_benchmark(benchmark::TEST_VECTOR_COUNT)
-            .and_then(|measured| measured.write_report()),
+            .and_then(|measured| measured.print_and_write_json()),
         Command::Scorecard { seeds } => verify::run_scorecard(seeds),
         Command::Fuzz { minutes } => campaign::run_fuzz_targets(minutes),
         Command::Mutants { simulator: true, .. } => campaign::run_simulator_mutation_campaign(),
@@ -299,8 +302,9 @@ fn main() -> ExitCode {
         }
         Command::VolumeBoard { poses } => campaign::run_volume_board_campaign(poses),
         Command::Soak { ticks, seed } => campaign::run_soak_campaign(ticks, seed),
-        Command::Names { count, seed } => {
-            print_random_names(count, seed.unwrap_or_else(random_seed))
+        Command::Names { count, seed, root } => {
+            let root = root.unwrap_or_else(setup::project_root);
+            print_random_names(count, seed.unwrap_or_else(random_seed), &root)
         }
         Command::Structure => structure::check_structure(&setup::project_root())
             .map(|report| trueup_output::write_line_best_effort(report.trim_end())),
@@ -351,7 +355,7 @@ fn run_chip_model(mut options: Vec<String>) -> Result<()> {
     };
     // Without a machine file of the user's, one that is named: the example's constants give no offset.
     let image = match std::env::var_os("TRUEUP_MACHINE") {
-        Some(_) => firmware_images::build(Board::Stm32f405)?,
+        Some(_) => firmware_images::build_board_image(Board::Stm32f405)?,
         None => {
             let machine = setup::project_root().join("data/paper_spindle.toml");
             slot_images::build_flashable_files_for_machine(
@@ -375,8 +379,8 @@ fn run_chip_model(mut options: Vec<String>) -> Result<()> {
     Ok(())
 }
 
-fn print_random_names(count: usize, seed: u64) -> Result<()> {
-    let (names, of) = structure::declared_names::draw_names(&setup::project_root(), count, seed)?;
+fn print_random_names(count: usize, seed: u64, root: &Path) -> Result<()> {
+    let (names, of) = structure::declared_names::draw_names(root, count, seed)?;
     trueup_output::write_line_best_effort(format_args!("{count} of {of} names, --seed {seed}"));
     for structure::declared_names::DeclaredName { kind, name, place, .. } in names {
         trueup_output::write_line_best_effort(format_args!("{kind:<7} {name:<40} {place}"));
@@ -390,7 +394,7 @@ fn run_linuxcnc_command(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Resul
             linuxcnc::run_loop_and_write_report(linuxcnc::CompensationRoute { on, by }).map(drop)
         }
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
-            campaign::run_linuxcnc_event_campaign(
+            campaign::run_linuxcnc_stress_test(
                 cycles,
                 events,
                 seed.unwrap_or_else(random_seed),
@@ -422,7 +426,7 @@ fn run_hidden_fault_campaign(seeds: u64, first: u64, tools: u64, on_board: bool)
     for (seeds, which, draw) in all {
         let mut campaign = CampaignStatistics::default();
         for seed in first..first + seeds {
-            trueup_output::write_line_best_effort(campaign.play(&boards, &draw(seed)?)?);
+            trueup_output::write_line_best_effort(campaign.run_and_record(&boards, &draw(seed)?)?);
         }
         if seeds > 0 {
             trueup_output::write_line_best_effort(format_args!(

@@ -92,17 +92,17 @@ fn is_up_to_date(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
     let sources = IMAGE_SOURCES.iter().map(|source| root.join(source));
     let newest = sources
         .chain(with_commit.iter().cloned())
-        .filter_map(|source| latest_modification_time(&source))
+        .filter_map(|source| find_latest_modification_time(&source))
         .max();
     images.into_iter().min().flatten() > newest
 }
 
 /// When something in a folder, or a file, was last changed.
-fn latest_modification_time(path: &Path) -> Option<SystemTime> {
+fn find_latest_modification_time(path: &Path) -> Option<SystemTime> {
     let Ok(entries) = fs::read_dir(path) else {
         return fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
     };
-    entries.flatten().filter_map(|entry| latest_modification_time(&entry.path())).max()
+    entries.flatten().filter_map(|entry| find_latest_modification_time(&entry.path())).max()
 }
 
 /// Builds the images as `cargo xtask images` does, in another profile's folder than this build.

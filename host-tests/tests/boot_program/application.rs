@@ -15,9 +15,9 @@ pub fn linked(slot: Slot) -> PathBuf {
 
 /// Returns the file of the application for a slot.
 pub fn application(slot: Slot, minor: u8) -> Vec<u8> {
-    let body = slot_images::image_body(&linked(slot), slot).expect("a body");
+    let body = slot_images::read_image_body(&linked(slot), slot).expect("a body");
     println!("the application for slot {} has {} bytes", slot.name(), body.len());
-    let key = slot_images::development_key().expect("the developers' key");
+    let key = slot_images::load_development_key().expect("the developers' key");
     slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 

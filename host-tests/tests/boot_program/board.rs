@@ -71,12 +71,12 @@ pub fn body(slot: Slot, behaviour: u8) -> Vec<u8> {
 /// Returns the same of an image that was built apart.
 pub fn body_of(image: &Path, slot: Slot, behaviour: u8) -> Vec<u8> {
     let name = slot.name().as_bytes()[0];
-    slot_images::slot_test_body(image, slot, behaviour, name).expect("a body")
+    slot_images::build_slot_test_body(image, slot, behaviour, name).expect("a body")
 }
 
 /// Returns a file for a slot, signed with the developers' key.
 pub fn file(slot: Slot, minor: u8, floor: u8, behaviour: u8) -> Vec<u8> {
-    let key = slot_images::development_key().expect("the developers' key");
+    let key = slot_images::load_development_key().expect("the developers' key");
     slot_images::build_signed_update(
         &body(slot, behaviour),
         slot,
@@ -94,7 +94,7 @@ pub fn file_of(length: usize, slot: Slot, minor: u8) -> Vec<u8> {
         random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (random >> 24) as u8
     });
-    let key = slot_images::development_key().expect("the developers' key");
+    let key = slot_images::load_development_key().expect("the developers' key");
     slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 

@@ -18,7 +18,7 @@ const LSI: [&str; 2] = ["17000", "47000"];
 const STEPS: [&str; 4] = [
     "__rtic_init_resources",
     "crystal16wait_for_capture",
-    "sampling7Samples3arm",
+    "sampling7Sampler3arm",
     "OwnSlot6locate",
 ];
 /// A read of the store: neither of its two parts has been opened yet. Its name is that of a trait.
@@ -39,10 +39,10 @@ fn address_of(image: &Path, parts: &[&str]) -> u32 {
 /// Returns the file of an application that hangs at the beginning of that function.
 fn hanging(slot: Slot, minor: u8, parts: &[&str]) -> Vec<u8> {
     let image = linked(slot);
-    let mut body = slot_images::image_body(&image, slot).expect("a body");
+    let mut body = slot_images::read_image_body(&image, slot).expect("a body");
     let at = (address_of(&image, parts) - slot.start()) as usize - HEADER_SIZE;
     body[at..at + TO_ITSELF.len()].copy_from_slice(&TO_ITSELF);
-    let key = slot_images::development_key().expect("the developers' key");
+    let key = slot_images::load_development_key().expect("the developers' key");
     slot_images::build_signed_update(&body, slot, version(minor), version(0), &key)
 }
 

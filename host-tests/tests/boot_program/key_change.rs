@@ -65,7 +65,7 @@ impl New {
 fn after_a_key_change_with_a_dead_pll_only_images_of_the_new_key_start() {
     let Some(_) = boot() else { return };
     let new = New::get();
-    let old_key = &slot_images::development_key().expect("the developers' key");
+    let old_key = &slot_images::load_development_key().expect("the developers' key");
     let b = |signed_with| new.file(Slot::B, 2, CONFIRMS, signed_with);
     thread::scope(|scope| {
         scope.spawn(move || {
@@ -107,7 +107,7 @@ fn a_power_cut_in_an_update_after_a_key_change_with_a_dead_pll_leaves_a_signed_i
 {
     let Some(_) = boot() else { return };
     let new = New::get();
-    let old_key = &slot_images::development_key().expect("the developers' key");
+    let old_key = &slot_images::load_development_key().expect("the developers' key");
     thread::scope(|scope| {
         for signed_with in [&new.key, old_key] {
             for cut in ["0 cut 40\n", "0 cut 3000\n", "900 reset power\n"] {

@@ -2,7 +2,7 @@
 //! `chip_clients update` has the serial line.
 
 use trueup_boot::{
-    flash_layout::Slot, image_header::HEADER_SIZE, refusal_reason::FirmwareRejectReason,
+    flash_layout::Slot, image_header::HEADER_SIZE, reject_reason::FirmwareRejectReason,
 };
 use trueup_canopen::sdo::{
     SEGMENTS_PER_BLOCK,

@@ -9,7 +9,7 @@ use trueup_boot::{
     journal::Journal,
     start::StartReason,
 };
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
 use crate::{
     application::application,
@@ -28,7 +28,7 @@ const FLIPS_MS: u32 = 60;
 /// Returns the records that hold a status of the image of this file.
 fn records(slot: Slot, file: &[u8], status: ImageStatus) -> Vec<u8> {
     let tag = u32::from_le_bytes(file[508..512].try_into().expect("a header"));
-    let flash = StrictFlash::<{ JOURNAL_SECTOR_SIZE as usize }>::erased();
+    let flash = SimulatedNorFlash::<{ JOURNAL_SECTOR_SIZE as usize }>::erased();
     let mut journal = Journal::open(flash);
     journal.commit(BootState::default().with_status(slot, tag, status)).expect("room");
     journal.into_flash().bytes

@@ -25,7 +25,7 @@ fn parts() -> Option<&'static (PathBuf, PathBuf)> {
             let machine = setup::project_root().join("data/paper_spindle.toml");
             Some((
                 model,
-                firmware_images::build_image_for_machine(&machine).expect("the image builds"),
+                firmware_images::build_standalone_image(&machine).expect("the image builds"),
             ))
         })
         .as_ref()
@@ -360,7 +360,7 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     let runs = [plain.clone(), plain.replace("[inputs]\n", input)].map(|text| {
         let file = folder.path().join("machine.toml");
         std::fs::write(&file, text).expect("it is written");
-        let image = firmware_images::build_image_for_machine(&file).expect("the image builds");
+        let image = firmware_images::build_standalone_image(&file).expect("the image builds");
         let options = ["--bor", "--ms", "1500", "--code", "1700", "--input", "4", "1.3"];
         let report = chip::run(model, &image, &options).expect("the model runs");
         is_clean(&report);

@@ -64,7 +64,7 @@ fn is_bounded(clock: &str, report: &ModelRunReport) {
     let (_, image) = parts().expect("the image was run");
     let bounds =
         BOUNDS.get_or_init(|| timing_bounds::compute_bounds(image).expect("the image is bounded"));
-    let seen = full_load::max_handler_times_us(report);
+    let seen = full_load::parse_max_handler_times_us(report);
     for bound in bounds.all.iter().filter(|bound| bound.clock == clock) {
         if let Some([own, _]) = seen.get(&bound.exception) {
             assert!(*own <= bound.turn_us, "{clock}, {}: {own} µs, {bound:?}", bound.task);

@@ -63,7 +63,8 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
     let Some(chip) = Chip::that_breaks(FAST_MACHINE)? else { return Ok(()) };
     // Built before a board waits for it.
     trueup()?;
-    let key = image_check::symbol_address(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
+    let key =
+        image_check::find_symbol_address(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
     // What breaks by that number (`src/faults.rs`), and the words that name it.
     let cases: [(u32, &[&str]); 3] = [
         (6, &["last reset   watchdog, in task listen\n", "watchdog 1"]),

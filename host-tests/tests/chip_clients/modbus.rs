@@ -169,7 +169,7 @@ fn pymodbus_and_mbpoll_read_the_whole_block_of_the_flashable_image_and_engage_it
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn mb2hal_reads_the_flashable_image_with_the_sample_that_is_delivered() -> Result<()> {
-    let Some(_linuxcnc) = setup::ensure_linuxcnc()? else {
+    let Some(_linuxcnc) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

@@ -40,7 +40,7 @@ fn parts() -> Option<&'static Parts> {
             let model = chip::build_model().expect("the model builds")?;
             let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
             let flashed =
-                firmware_images::build_image_for_machine(&machine).expect("the image builds");
+                firmware_images::build_standalone_image(&machine).expect("the image builds");
             let folder = tempfile::tempdir().expect("a folder");
             let breaking = firmware_images::build_image_with_fault_injection(&machine)
                 .expect("the image builds");
@@ -112,7 +112,7 @@ fn play(parts: &Parts, run: &Run) -> Vec<String> {
         Image::NoCalibration => &parts.unusable[0],
         Image::OtherSchema => &parts.unusable[1],
     };
-    let key = image_check::symbol_address(image, KEY).expect("an image");
+    let key = image_check::find_symbol_address(image, KEY).expect("an image");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script");
     fs::write(&file, script(run, key)).expect("it is written");
@@ -182,11 +182,11 @@ fn play_those(is_meant: impl Fn(&Run) -> bool) {
 fn only_the_breaking_image_accepts_the_command_to_break() {
     let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
     let breaking = firmware_images::build_image_with_fault_injection(&machine).expect("it builds");
-    assert!(image_check::symbol_address(&breaking, KEY).expect("an image").is_some());
+    assert!(image_check::find_symbol_address(&breaking, KEY).expect("an image").is_some());
     for board in firmware_images::Board::ALL {
-        let image = firmware_images::build(board).expect("it builds");
+        let image = firmware_images::build_board_image(board).expect("it builds");
         assert_eq!(
-            image_check::symbol_address(&image, KEY).expect("an image"),
+            image_check::find_symbol_address(&image, KEY).expect("an image"),
             None,
             "{}",
             board.cargo_feature()

@@ -16,7 +16,7 @@ const UM_PER_MM: f64 = 0.1;
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_lathe_is_corrected_by_its_radius_in_g7_and_g8() -> Result<()> {
-    let Some(linuxcnc) = setup::ensure_linuxcnc()? else {
+    let Some(linuxcnc) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

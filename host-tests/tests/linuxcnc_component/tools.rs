@@ -96,7 +96,7 @@ fn live(
         let command =
             DriveCommand { tool: pins[0] as u16, spindle_rpm: pins[1], ..DriveCommand::default() };
         metal.step(dt_s, &command);
-        let counts = metal.sensor_counts().unwrap_or(f64::NAN);
+        let counts = metal.read_sensor_counts().unwrap_or(f64::NAN);
         bridge.grow_to((counts - 5_048.0) * 500.0 / 32_768.0);
         let grown_um = metal.elongation_um();
         if begun.elapsed() > wait {
@@ -110,7 +110,7 @@ fn live(
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
-    let Some(linuxcnc) = setup::ensure_linuxcnc()? else {
+    let Some(linuxcnc) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

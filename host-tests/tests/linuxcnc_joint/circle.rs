@@ -327,7 +327,7 @@ fn reduction(before: f64, after: f64) -> f64 {
 #[test]
 #[ignore = "campaign: cargo xtask linuxcnc circle"]
 fn campaign_the_same_circle_is_rounder_with_the_bridge() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

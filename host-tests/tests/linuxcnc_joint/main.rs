@@ -141,7 +141,7 @@ fn stock(
 
 impl Rig {
     fn start() -> Result<Option<Self>> {
-        let Some(control) = setup::ensure_linuxcnc()? else {
+        let Some(control) = setup::install_and_lock_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(None);
         };
@@ -231,7 +231,7 @@ fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
     const MM: f64 = 25.4;
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
     let mut text = INI.replace("UNITS = mm", "UNITS = inch");
     for (joint, axis) in ["X", "Y", "Z"].iter().enumerate() {
         let motion = in_inches(50.0);
@@ -275,7 +275,7 @@ fn home_at_once(joint: usize, motion: &str) -> String {
 #[ignore = "long: the real LinuxCNC"]
 fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()> {
     const MM: f64 = 25.4;
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
     let mut text = INI
         .replace("core_sim.hal\nHALFILE = own.hal", "gantrysim.hal")
         .replace("UNITS = mm", "UNITS = inch")
@@ -309,7 +309,7 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn external_offsets_that_setup_has_written_act() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &ini(), "eoffset", SLEW, &bridge)?;
     cnc.power_on_and_home()?;

@@ -168,7 +168,7 @@ fn lag(cycles: &[Cycle], offset_um: fn(&Cycle) -> f64) -> (usize, f64) {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
     let mut cnc = start(control, "joint", 1_000)?;
     let (_sampler, cycles) = record(&mut cnc, 0)?;
     is_live(&mut cnc)?;
@@ -220,7 +220,7 @@ fn reversals(cycles: &[Cycle]) -> Vec<usize> {
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_well() -> Result<()> {
     for period_us in [1_000, 2_000, 4_000] {
-        let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+        let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
         let mut cnc = start(control, "joint", period_us)?;
         let (_sampler, cycles) = record(&mut cnc, 1)?;
         is_live(&mut cnc)?;
@@ -253,7 +253,7 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_external_offsets_act_at_half_a_millisecond() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(()) };
     let mut cnc = start(control, "eoffset", 500)?;
     is_live(&mut cnc)?;
     let names = ["axis.x.eoffset", "axis.y.eoffset", "trueup.0.applied"];

@@ -72,7 +72,7 @@ impl Rig {
     /// LinuxCNC comes up while the bridge's plug is out.
     fn start() -> Result<Option<Self>> {
         // Another process may use it for a while.
-        let Some(linuxcnc) = setup::ensure_linuxcnc()? else { return Ok(None) };
+        let Some(linuxcnc) = setup::install_and_lock_linuxcnc()? else { return Ok(None) };
         let bridge = RigBridge::start(&machine()?)?;
         bridge.plug(false);
         let mut cnc = control::start(linuxcnc, &bridge.address(), &[])?;

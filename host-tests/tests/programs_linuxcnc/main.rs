@@ -97,7 +97,7 @@ fn read<'n>(
     let errors = machine.tip_error_um();
     let elongation_um = machine.elongation_um();
     let temperatures: Vec<(String, f64)> =
-        machine.temperatures_c().into_iter().map(|(name, c)| (name.into(), c)).collect();
+        machine.read_temperatures_c().into_iter().map(|(name, c)| (name.into(), c)).collect();
     let cells = names.iter().zip(row.split(',')).map(|(name, cell)| {
         let value = match *name {
             "time_s" => time_s - began_s,
@@ -294,7 +294,7 @@ const Y: LinearAxis = LinearAxis::Y;
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn backlash_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -310,7 +310,7 @@ fn backlash_is_got_back_from_its_program() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -339,7 +339,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -385,7 +385,7 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -406,14 +406,14 @@ fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
     let left = fit.held_out.context("blocks left out")?;
     let grown = fit.before.context("it was measured")?;
     println!("{:?}: {grown:?}, left out {left:?}", fit.parameters);
-    assert!(fit.verdict.is_fitted() && left.rms_um < 0.1 * grown.rms_um, "{left:?}");
+    assert!(fit.verdict.is_usable() && left.rms_um < 0.1 * grown.rms_um, "{left:?}");
     rig.end()
 }
 
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

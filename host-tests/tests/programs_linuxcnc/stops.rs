@@ -150,7 +150,7 @@ fn plan_start(plan: &MeasurementPlan, arc: &ArcMove) -> [f64; 3] {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -> Result<()> {
-    let Some(control) = setup::ensure_linuxcnc()? else {
+    let Some(control) = setup::install_and_lock_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };

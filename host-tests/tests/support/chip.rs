@@ -26,7 +26,7 @@ pub struct Chip {
 impl Chip {
     /// Returns the image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware_images::build_image_for_machine)
+        Self::built(text, firmware_images::build_standalone_image)
     }
 
     /// Returns the same that breaks on command.

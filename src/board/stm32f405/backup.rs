@@ -84,7 +84,7 @@ impl BackupDomain {
         });
         let off_s = retained_state::off_time_s(
             copies,
-            self.is_clock_set().then(|| self.read_clock()).flatten(),
+            self.is_clock_set().then(|| self.read_seconds_since_2000()).flatten(),
         );
         match off_s {
             Some(off_s) => defmt::info!("the power was gone for {=u32} s", off_s),
@@ -104,7 +104,7 @@ impl BackupDomain {
             self.with_write_access(|| self.set_clock());
             return None;
         }
-        self.read_clock()
+        self.read_seconds_since_2000()
     }
 
     /// Writes the copies where they outlast a power cut.
@@ -127,7 +127,7 @@ impl BackupDomain {
     /// Time and date, twice the same: the errata sheet has a case where the date is that of the next time. They are
     /// there to be read once the clock has run for two cycles since the reset, 61 µs (section 26.3.6): if it does,
     /// it is long before this.
-    fn read_clock(&self) -> Option<u32> {
+    fn read_seconds_since_2000(&self) -> Option<u32> {
         if self.clock.isr().read().rsf().bit_is_clear() {
             return None;
         }

@@ -8,7 +8,7 @@
 //! when it has given no offset for a while.
 
 use super::{
-    CYCLES_PER_MS, poll_until,
+    HSI_CYCLES_PER_MS, poll_until,
     watchdog::{ResetCause, Watchdog},
 };
 use stm32f4xx_hal::pac::FLASH;
@@ -21,17 +21,17 @@ const UNLOCK_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 const OPTION_WRITE_TIMEOUT_MS: u32 = 2_000;
 /// Turns of the supervisor without an offset until the level is raised on a board in service: 2 s. A CNC that
 /// engages just then is held up by the quarter of a second.
-const IDLE_CYCLES_BEFORE_RAISE: u32 = 200;
+const IDLE_TURNS_BEFORE_RAISE: u32 = 200;
 
 /// The level, and what is still to be done about it.
-pub struct BrownOut {
+pub struct BrownOutLevel {
     /// Of the flash.
     controller: FLASH,
     is_due: bool,
     turns: u32,
 }
 
-impl BrownOut {
+impl BrownOutLevel {
     /// Looks at it.
     ///
     /// It is raised only after power-on, so that no loop of resets can wear the option bytes out if they do
@@ -63,7 +63,7 @@ impl BrownOut {
     /// A turn of the supervisor: raises it, if it is low and no offset was given for a while.
     pub fn raise_level_when_idle(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
         self.turns = if gives_offset { 0 } else { self.turns + 1 };
-        if self.is_due && self.turns >= IDLE_CYCLES_BEFORE_RAISE {
+        if self.is_due && self.turns >= IDLE_TURNS_BEFORE_RAISE {
             self.raise_level(watchdog);
         }
     }
@@ -92,7 +92,7 @@ fn wait_until_idle(flash: &FLASH) -> bool {
     poll_until(OPTION_WRITE_TIMEOUT_MS, || {
         let idle = flash.sr().read().bsy().bit_is_clear();
         if !idle {
-            cortex_m::asm::delay(CYCLES_PER_MS);
+            cortex_m::asm::delay(HSI_CYCLES_PER_MS);
         }
         idle
     })

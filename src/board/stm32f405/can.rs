@@ -57,7 +57,7 @@ pub fn start(
     rx: PB8,
     source: ClockSource,
     rcc: &mut Rcc,
-) -> ([CanIn; 2], CanOut, bool) {
+) -> ([CanRx; 2], CanTx, bool) {
     CAN1::enable(rcc);
     CAN1::reset(rcc);
     let answers = enter_initialisation(&can);
@@ -74,11 +74,11 @@ pub fn start(
         join_bus(&can);
         defmt::info!("CAN: 1 Mbit/s");
     }
-    // SAFETY: `CanOut` uses the transmit registers alone, each `CanIn` those of its FIFO alone.
+    // SAFETY: `CanTx` uses the transmit registers alone, each `CanRx` those of its FIFO alone.
     let (second, transmitter) = unsafe { (CAN1::steal(), CAN1::steal()) };
-    let can_in = [CanIn { can, fifo: 0, overruns: 0 }, CanIn { can: second, fifo: 1, overruns: 0 }];
+    let can_in = [CanRx { can, fifo: 0, overruns: 0 }, CanRx { can: second, fifo: 1, overruns: 0 }];
     let worst = CanErrorState::default();
-    (can_in, CanOut { can: transmitter, on_the_bus, late: 0, waited: 0, worst }, answers)
+    (can_in, CanTx { can: transmitter, on_the_bus, late: 0, waited: 0, worst }, answers)
 }
 
 /// Out of sleep, into the initialisation mode, in which the controller is silent.
@@ -124,13 +124,13 @@ fn join_bus(can: &CAN1) {
 }
 
 /// Frames from the bus, by one of the two FIFOs.
-pub struct CanIn {
+pub struct CanRx {
     can: CAN1,
     fifo: usize,
     overruns: u32,
 }
 
-impl CanIn {
+impl CanRx {
     /// Returns the oldest frame that waits. The interrupt comes again while another one does.
     pub fn receive(&mut self) -> Option<Frame> {
         let fifo = self.can.rfr(self.fifo).read();
@@ -171,7 +171,7 @@ fn read_mailbox(mailbox: &can1::RX) -> Option<Frame> {
 }
 
 /// Frames to the bus.
-pub struct CanOut {
+pub struct CanTx {
     can: CAN1,
     on_the_bus: bool,
     late: u32,
@@ -181,7 +181,7 @@ pub struct CanOut {
     worst: CanErrorState,
 }
 
-impl CanOut {
+impl CanTx {
     /// Returns whether a frame other than offsets still waits: another one would take its place, and an
     /// answer to an SDO request comes only once. A bus on which nothing gets out is not waited for,
     /// because the serial line has the same frames; called once a millisecond.
@@ -213,7 +213,7 @@ impl CanOut {
 
     /// Returns how the controller has been on its bus since the last call, at its worst: bus-off lasts for
     /// 1.4 ms only, and comes again. A controller that was never meant to join is well.
-    pub fn take_worst_state(&mut self) -> CanErrorState {
+    pub fn take_worst_error_state(&mut self) -> CanErrorState {
         if self.on_the_bus {
             self.update_worst_error_state();
         }

@@ -48,11 +48,11 @@ pub enum ClockSource {
 }
 
 /// Core cycles in a millisecond while the chip still runs from its internal oscillator at 16 MHz.
-const CYCLES_PER_MS: u32 = 16_000;
+const HSI_CYCLES_PER_MS: u32 = 16_000;
 /// A crystal starts in about 2 ms (data sheet, HSE oscillator characteristics): ten times that.
-const CRYSTAL_TIMEOUT_CYCLES: u32 = 20 * CYCLES_PER_MS;
+const CRYSTAL_TIMEOUT_CYCLES: u32 = 20 * HSI_CYCLES_PER_MS;
 /// The PLL locks in at most 300 µs (data sheet, main PLL characteristics): ten times that.
-const PLL_TIMEOUT_CYCLES: u32 = 3 * CYCLES_PER_MS;
+const PLL_TIMEOUT_CYCLES: u32 = 3 * HSI_CYCLES_PER_MS;
 
 /// Starts the best clock there is, and says which. SysTick measures the time until then.
 pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, ClockSource) {

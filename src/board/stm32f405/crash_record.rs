@@ -104,7 +104,7 @@ pub fn write(why: StopReason, core: CoreRegisters, place: Option<&core::panic::L
             *word = u32::from_le_bytes(*bytes);
         }
     }
-    words[RECORD_WORDS - 2] = liveness::last_running_task().into();
+    words[RECORD_WORDS - 2] = liveness::last_running_task_number().into();
     words[RECORD_WORDS - 1] = checksum(&words[..RECORD_WORDS - 1]);
     for (place, word) in record_words().iter().zip(words) {
         place.store(word, Ordering::Relaxed);

@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
-use super::{CYCLES_PER_MS, mpu, poll_until, watchdog};
+use super::{HSI_CYCLES_PER_MS, mpu, poll_until, watchdog};
 
 /// Where sector 8 begins.
 const STORE_START_ADDRESS: usize = 0x0808_0000;
@@ -185,7 +185,7 @@ impl NorFlash for Flash {
                 poll_until(ERASE_TIMEOUT_MS, || {
                     let idle = is_idle(flash);
                     if !idle {
-                        cortex_m::asm::delay(CYCLES_PER_MS);
+                        cortex_m::asm::delay(HSI_CYCLES_PER_MS);
                     }
                     idle
                 })

@@ -2,7 +2,7 @@
 //! all the time, a piece at each turn of the supervisor, and without a boot program at the start too. Where the unit is
 //! dead, the core works it out itself: twenty times slower.
 //!
-//! The build writes length and CRC into the image after it is linked ([`IMAGE_CHECK`]; `trueup_emulator::image_check`). An
+//! The build writes length and CRC into the image after it is linked ([`IMAGE_CHECKSUM`]; `trueup_emulator::image_check`). An
 //! image that went another way has none: it runs, and says that it cannot be checked.
 
 use core::ptr::{addr_of, read_volatile};
@@ -13,7 +13,7 @@ use stm32f4xx_hal::{
 };
 
 /// Where the image begins (`build.rs`).
-const IMAGE_START: u32 = include!(concat!(env!("OUT_DIR"), "/start.in"));
+const IMAGE_START_ADDRESS: u32 = include!(concat!(env!("OUT_DIR"), "/start.in"));
 /// Words a turn: 1 KB every 10 ms, so that an image of 138 KB has its turn every 1.4 s.
 const WORDS_PER_STEP: u32 = 256;
 /// The unit's polynomial; it begins with ones and takes the highest bit first.
@@ -50,7 +50,7 @@ struct ImageChecksum {
 #[used]
 #[unsafe(export_name = "TRUEUP_IMAGE_CHECK")]
 #[allow(unsafe_code, reason = "a name that the build knows")]
-static IMAGE_CHECK: ImageChecksum = ImageChecksum { length: UNSEALED, crc: UNSEALED };
+static IMAGE_CHECKSUM: ImageChecksum = ImageChecksum { length: UNSEALED, crc: UNSEALED };
 
 /// Verdict on the image.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
@@ -78,7 +78,7 @@ impl ImageChecker {
         CRC::enable(rcc);
         CRC::reset(rcc);
         let mut image =
-            Self { unit, by_core: None, at: IMAGE_START, verdict: ImageStatus::Unsealed };
+            Self { unit, by_core: None, at: IMAGE_START_ADDRESS, verdict: ImageStatus::Unsealed };
         image.feed(core::iter::once(0));
         if image.crc() != update_crc(u32::MAX, 0) {
             defmt::error!("dead: CRC unit, the core checks the image");
@@ -117,8 +117,8 @@ impl ImageChecker {
             return true;
         }
         let (length, crc) = read_stored_checksum();
-        let end = IMAGE_START.saturating_add(length);
-        let own = addr_of!(IMAGE_CHECK) as u32;
+        let end = IMAGE_START_ADDRESS.saturating_add(length);
+        let own = addr_of!(IMAGE_CHECKSUM) as u32;
         let stop = end.min(self.at + 4 * WORDS_PER_STEP);
         let places = (self.at..stop).step_by(4).filter(|at| *at != own && *at != own + 4);
         // SAFETY: words of the flash: `length` is at most [`MAX`].
@@ -136,7 +136,7 @@ impl ImageChecker {
     }
 
     fn restart(&mut self) {
-        self.at = IMAGE_START;
+        self.at = IMAGE_START_ADDRESS;
         match &mut self.by_core {
             Some(crc) => {
                 *crc = u32::MAX;
@@ -176,6 +176,9 @@ fn update_crc(crc: u32, word: u32) -> u32 {
 fn read_stored_checksum() -> (u32, u32) {
     // SAFETY: the static is there; volatile, because its value is not the one that was compiled.
     unsafe {
-        (read_volatile(addr_of!(IMAGE_CHECK.length)), read_volatile(addr_of!(IMAGE_CHECK.crc)))
+        (
+            read_volatile(addr_of!(IMAGE_CHECKSUM.length)),
+            read_volatile(addr_of!(IMAGE_CHECKSUM.crc)),
+        )
     }
 }

@@ -63,16 +63,16 @@ use stm32f4xx_hal::{
 use super::{CalibrationBuffer, Parts, StartupFaults, retained_ram};
 use crate::liveness::{self, Task};
 pub use backup::BackupDomain;
-pub use brown_out::BrownOut;
-pub use can::{CanIn, CanOut};
+pub use brown_out::BrownOutLevel;
+pub use can::{CanRx, CanTx};
 use clocks::ClockSource;
 pub use flash::Flash;
 #[cfg(feature = "slots")]
 pub use own_slot::OwnSlot;
 pub use rs485::{Rs485, SilenceTimer};
-pub use sampling::Samples;
+pub use sampling::Sampler;
 pub use self_test::SelfTest;
-pub use serial::{SerialIn, SerialOut};
+pub use serial::{SerialRx, SerialTx};
 pub use service_switch::ServiceSwitch;
 pub use status_led::StatusLed;
 pub use store::Store;
@@ -85,7 +85,7 @@ use watchdog::ResetCause;
 pub use watchdog::Watchdog;
 
 /// After a power cut it is not known how warm the machine is.
-pub const COLD_AT_START: bool = false;
+pub const IS_MACHINE_COLD_AT_START: bool = false;
 
 /// Does nothing: the next tick, or the supervisor, raises the transmitter.
 pub fn transmit_without_tick() {}
@@ -103,7 +103,7 @@ pub fn start(
     let mut watchdog = Watchdog::start(device.IWDG, &device.DBGMCU);
     let reset = watchdog::take_reset_cause(&device.RCC);
     defmt::info!("reset by {}", reset);
-    let began = determine_reset_info(reset);
+    let began = take_reset_info(reset);
     mpu::enable(&core.MPU);
     enable_divide_by_zero_trap(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
@@ -111,7 +111,7 @@ pub fn start(
         watchdog.set_slow_clock_timeout();
     }
     watchdog.feed();
-    let mut brown_out = BrownOut::new(reset);
+    let mut brown_out = BrownOutLevel::new(reset);
     enable_debug_in_sleep_mode(&device.DBGMCU);
 
     let stored = StoredData::open(device.FLASH, buffer, &mut watchdog);
@@ -166,7 +166,7 @@ pub fn start(
         thermometers.set_linear_inputs(inputs);
     }
     let serial_number = unique_id::hashed_serial_number(&device.DBGMCU);
-    start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
+    start_supervisor_timer(&mut core.SYST, rcc.clocks.hclk().raw());
     Parts {
         samples,
         serial_in,
@@ -227,14 +227,14 @@ fn startup_faults(
 }
 
 /// Returns what is known of how the board came to run, before a task of this start leaves its own mark.
-fn determine_reset_info(reset: ResetCause) -> ResetInfo {
+fn take_reset_info(reset: ResetCause) -> ResetInfo {
     let last_words = crash_record::take().filter(|_| reset != ResetCause::PowerOn);
     let reason = watchdog::reset_reason(reset, last_words.as_ref());
     let stop = match &last_words {
         Some(words) => words.stop,
         // No task could leave a record: the one that ran is the one that hung.
         None if reset == ResetCause::Watchdog => {
-            CrashInfo { task: liveness::last_running_task(), ..CrashInfo::default() }
+            CrashInfo { task: liveness::last_running_task_number(), ..CrashInfo::default() }
         }
         None => CrashInfo::default(),
     };
@@ -255,7 +255,7 @@ fn enable_divide_by_zero_trap(scb: &SCB) {
 }
 
 /// SysTick raises its interrupt a hundred times a second, whichever clock the core runs from.
-fn start_supervisor_clock(systick: &mut SYST, core_hz: u32) {
+fn start_supervisor_timer(systick: &mut SYST, core_hz: u32) {
     systick.set_clock_source(SystClkSource::Core);
     systick.set_reload(core_hz / SUPERVISOR_HZ - 1);
     systick.clear_current();
@@ -270,7 +270,7 @@ fn enable_debug_in_sleep_mode(dbgmcu: &pac::DBGMCU) {
 }
 
 /// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
-const CYCLES_PER_MS: u32 = 168_000;
+const HSI_CYCLES_PER_MS: u32 = 168_000;
 
 /// Returns whether `ready` came true within `polls` polls: the only way to wait on this board.
 fn poll_until(polls: u32, mut ready: impl FnMut() -> bool) -> bool {

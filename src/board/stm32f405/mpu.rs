@@ -107,7 +107,7 @@ const SLOT_JOURNAL_REGION: MpuRegion = MpuRegion {
 /// Does `work`, which may write to the records of the firmware slots.
 #[cfg(feature = "slots")]
 #[allow(unsafe_code, reason = "registers of the core")]
-pub fn with_records_writable<R>(work: impl FnOnce() -> R) -> R {
+pub fn with_slot_journal_writable<R>(work: impl FnOnce() -> R) -> R {
     // SAFETY: as for the store: this region is changed only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
     MpuRegion { attributes: READ_WRITE | EXECUTE_NEVER, ..SLOT_JOURNAL_REGION }.apply(mpu);
@@ -134,7 +134,7 @@ pub fn with_slot_writable<R>(
     // SAFETY: as for the store; nothing that runs lies in this slot.
     let mpu = unsafe { &*MPU::PTR };
     slot(READ_WRITE | EXECUTE_NEVER | without).apply(mpu);
-    let result = with_records_writable(work);
+    let result = with_slot_journal_writable(work);
     slot(READ_ONLY | EXECUTE_NEVER | without).apply(mpu);
     result
 }

@@ -22,7 +22,7 @@ use trueup_boot::{
     image_header::{FirmwareVersion, HEADER_SIZE},
     journal::Journal,
     public_key::PublicKey,
-    refusal_reason::FirmwareRejectReason,
+    reject_reason::FirmwareRejectReason,
     update::{ImageUpdate, UpdateError, announce_reset, confirm, slot_at},
 };
 use trueup_canopen::dictionary::FIRMWARE_HEADER_BYTES;
@@ -139,13 +139,13 @@ impl OwnSlot {
             // An erase takes longer than the watchdog waits.
             UpdateStep::Begin => watchdog.with_extended_timeout(|| {
                 let begun = self.begin(&running);
-                self.ensure_record_space();
+                self.ensure_journal_space();
                 begun
             }),
             UpdateStep::Write => self.append_chunk(),
             UpdateStep::Finish => watchdog.with_extended_timeout(|| {
                 let finished = self.finish();
-                self.ensure_record_space();
+                self.ensure_journal_space();
                 finished
             }),
         });
@@ -158,7 +158,7 @@ impl OwnSlot {
 
     /// Erases a sector of the records now, at rest, where too little room is left for what comes while offsets are followed: a
     /// confirmation. That one must not erase, for it would stop the core for longer than the watchdog waits.
-    fn ensure_record_space(&mut self) {
+    fn ensure_journal_space(&mut self) {
         if self.journal.settle().is_err() {
             defmt::error!("the records of the firmware slots take nothing more");
         }
@@ -198,7 +198,7 @@ impl OwnSlot {
             return;
         }
         self.healthy_ms = 0;
-        if mpu::with_records_writable(|| confirm(&mut self.journal, &image)).is_ok() {
+        if mpu::with_slot_journal_writable(|| confirm(&mut self.journal, &image)).is_ok() {
             defmt::info!("this image is confirmed");
         } else {
             defmt::error!("the image is NOT confirmed: the flash does not take its state");
@@ -208,7 +208,7 @@ impl OwnSlot {
     /// A requested reset is no failure of the image.
     pub fn announce_reset(&mut self) {
         let Some(image) = self.image else { return };
-        if mpu::with_records_writable(|| announce_reset(&mut self.journal, &image)).is_err() {
+        if mpu::with_slot_journal_writable(|| announce_reset(&mut self.journal, &image)).is_err() {
             defmt::error!("the reset is not announced: on trial it counts as a failure");
         }
     }

@@ -28,7 +28,7 @@ const PULL_UP_SETTLE_CYCLES: u32 = 1_680;
 
 /// CR2: STOP; CR1: UE, RXNEIE, TE, RE; M; PCE.
 const CR2_STOP_2: u32 = 0b10 << 12;
-const CR1_ENABLE_MASK: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
+const CR1_ENABLE_BITS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
 const CR1_M: u32 = 1 << 12;
 const CR1_PCE: u32 = 1 << 10;
 
@@ -74,7 +74,7 @@ pub fn start(usart: USART3, timer: TIM5, pins: Rs485Pins, rcc: &mut Rcc) -> PlcI
     set(usart.brr().as_ptr(), divider);
     set(usart.cr2().as_ptr(), if has_parity { 0 } else { CR2_STOP_2 });
     // The parity is the ninth bit of the word.
-    set(usart.cr1().as_ptr(), CR1_ENABLE_MASK | if has_parity { CR1_M | CR1_PCE } else { 0 });
+    set(usart.cr1().as_ptr(), CR1_ENABLE_BITS | if has_parity { CR1_M | CR1_PCE } else { 0 });
 
     TIM5::enable(rcc);
     TIM5::reset(rcc);

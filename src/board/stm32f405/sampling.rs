@@ -41,7 +41,7 @@ use stm32f4xx_hal::{
 use trueup_core::units::AdcCode;
 
 use super::{
-    super::{Block, CODES_PER_BLOCK, Codes},
+    super::{Block, BlockCodes, CODES_PER_BLOCK},
     poll_until,
 };
 
@@ -76,14 +76,14 @@ pub struct SamplingChain {
 }
 
 /// Sets the chain up, and starts it. The clock of DMA2 is on.
-pub fn start(chain: SamplingChain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samples {
+pub fn start(chain: SamplingChain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Sampler {
     pin.into_analog();
     let timer_hz = rcc.clocks.timclk1().raw();
     let bus_hz = rcc.clocks.pclk2().raw();
     let plan = SamplingTiming::from_bus_clock(bus_hz);
     set_up_timers(&chain, timer_hz, plan.pause_start_count(bus_hz, timer_hz), rcc);
     set_up_converter(&chain.adc, common, &plan, rcc);
-    let mut samples = Samples { chain, taken: 0, lost: 0, restarts: 0, remarked: false };
+    let mut samples = Sampler { chain, taken: 0, lost: 0, restarts: 0, remarked: false };
     samples.arm();
     samples
 }
@@ -166,7 +166,7 @@ fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, plan: &SamplingTiming, rcc:
 }
 
 /// Blocks of conversions, one every millisecond.
-pub struct Samples {
+pub struct Sampler {
     chain: SamplingChain,
     /// Triggers up to the end of the last block that was taken.
     taken: u32,
@@ -176,10 +176,10 @@ pub struct Samples {
     remarked: bool,
 }
 
-impl Samples {
+impl Sampler {
     /// Returns the block that is complete, its codes in `codes`. `None`: there is none, or one was lost; then the chain has
     /// been restarted, so that the next block is whole.
-    pub fn take_block(&mut self, codes: &mut Codes) -> Option<Block> {
+    pub fn take_block(&mut self, codes: &mut BlockCodes) -> Option<Block> {
         let status = self.chain.dma.lisr().read();
         self.clear_flags();
         let overrun = self.chain.adc.sr().read().ovr().is_overrun();
@@ -198,7 +198,7 @@ impl Samples {
     }
 
     /// Returns the last code of the chip's internal reference; `None` before the first.
-    pub fn internal_reference(&mut self) -> Option<AdcCode> {
+    pub fn read_internal_reference_code(&mut self) -> Option<AdcCode> {
         let code = self.chain.adc.jdr1().read().jdata().bits();
         let code = (code != 0).then_some(AdcCode(code))?;
         if !core::mem::replace(&mut self.remarked, true) {
@@ -218,7 +218,7 @@ impl Samples {
     }
 
     /// Copies the buffer that the DMA is not filling.
-    fn copy_complete_buffer(&self, codes: &mut Codes) {
+    fn copy_complete_buffer(&self, codes: &mut BlockCodes) {
         let filling_first = self.chain.dma.st(0).cr().read().ct().is_memory0();
         let complete = &DMA_BUFFERS[usize::from(filling_first)];
         // The codes are read after the flag that says they are there, and before the count that

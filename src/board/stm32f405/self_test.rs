@@ -54,7 +54,7 @@ impl SelfTest {
     }
 
     /// Returns how many bytes of the stack were never used; called at each turn.
-    pub fn unused_stack_bytes(&mut self) -> u16 {
+    pub fn scan_unused_stack_bytes(&mut self) -> u16 {
         self.watermark.scan_next_words()
     }
 }

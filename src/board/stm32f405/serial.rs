@@ -45,7 +45,7 @@ pub fn wait_until_sent() {
 }
 
 /// Sets up both directions. The clock of DMA2 is on.
-pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, SerialOut) {
+pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialRx, SerialTx) {
     // Pulled up, so that an open line is quiet.
     let rx = rx.into_alternate().internal_resistor(Pull::Up);
     let config = Config::default().baudrate(921_600.bps());
@@ -54,26 +54,26 @@ pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, Seri
         panic!("921 600 Bd is within reach of 84 MHz and of 16 MHz")
     };
     let (tx, rx) = serial.split();
-    let mut serial_in = SerialIn { rx, incoming: RxStream::start(), errors: 0 };
+    let mut serial_in = SerialRx { rx, incoming: RxStream::start(), errors: 0 };
     if serial_in.incoming.is_some() {
-        serial_in.enable_idle_interrupt();
+        serial_in.enable_dma_and_idle_interrupt();
     } else {
         defmt::error!("dead: DMA of the serial line, it is polled");
         serial_in.rx.listen();
     }
     let outgoing = serial_in.incoming.is_some().then(TxStream::new);
-    (serial_in, SerialOut { tx, outgoing, moved_ms: 0 })
+    (serial_in, SerialTx { tx, outgoing, moved_ms: 0 })
 }
 
 /// Bytes from the CNC.
-pub struct SerialIn {
+pub struct SerialRx {
     rx: Rx1,
     /// `None`: the DMA is dead, and each byte has its interrupt.
     incoming: Option<RxStream>,
     errors: u32,
 }
 
-impl SerialIn {
+impl SerialRx {
     /// Hands over the bytes that came in. What came damaged or was lost is missing: the checksum of the frame shows it.
     pub fn read(&mut self, take: impl FnMut(u8)) {
         if self.incoming.is_some() {
@@ -87,7 +87,7 @@ impl SerialIn {
     /// An interrupt when the line pauses for a byte's time; the DMA raises its own, half-way and at the
     /// end of its ring.
     #[allow(unsafe_code, reason = "registers of the USART")]
-    fn enable_idle_interrupt(&mut self) {
+    fn enable_dma_and_idle_interrupt(&mut self) {
         // SAFETY: the transmitter's bits of these registers are set in one step, before it runs.
         let usart = unsafe { USART1::steal() };
         usart.cr3().modify(|_, w| w.dmar().enabled().dmat().enabled());
@@ -141,7 +141,7 @@ impl SerialIn {
 }
 
 /// Bytes to the CNC.
-pub struct SerialOut {
+pub struct SerialTx {
     tx: Tx1,
     /// `None`: the DMA is dead, and bytes are polled out.
     outgoing: Option<TxStream>,
@@ -149,7 +149,7 @@ pub struct SerialOut {
     moved_ms: u32,
 }
 
-impl SerialOut {
+impl SerialTx {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
     /// for more. Where the DMA is dead nothing is taken: it is for [`Self::transmit_polled`].
     pub fn send(

@@ -10,7 +10,7 @@ use trueup_store::{
 use super::{
     super::{
         CalibrationBuffer,
-        reference_store::{self, StoredState},
+        reference_store::{self, StoredReferenceState},
     },
     Flash, Store, Watchdog,
 };
@@ -28,7 +28,7 @@ pub struct StoredData {
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The bytes of the calibration in use; empty without one.
     pub blob: &'static [u8],
-    pub references: (ReferenceStore<Flash>, StoredState),
+    pub references: (ReferenceStore<Flash>, StoredReferenceState),
     /// The calibration that was loaded last is damaged, and this is an older one.
     pub is_older: bool,
     /// The calibration is the example's: another machine's spindle.

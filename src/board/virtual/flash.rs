@@ -4,7 +4,7 @@ use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 
-use super::{open_file, read_all};
+use super::{open_file, read_until_full};
 
 /// The flash, in two small sectors: a copy of the host's file, which follows every change.
 pub struct Flash([u8; 2 * SECTOR_SIZE]);
@@ -16,7 +16,7 @@ impl Flash {
     pub fn load() -> Self {
         let mut bytes = [0xFF; _];
         if let Some(mut file) = open_file(c"flash.bin") {
-            read_all(&mut file, &mut bytes);
+            read_until_full(&mut file, &mut bytes);
         }
         Self(bytes)
     }

@@ -26,9 +26,9 @@ impl BackupDomain {
 }
 
 /// An emulator has no supply.
-pub struct BrownOut;
+pub struct BrownOutLevel;
 
-impl BrownOut {
+impl BrownOutLevel {
     pub fn raise_level_when_idle(&mut self, _gives_offset: bool, _watchdog: &mut Watchdog) {}
 }
 
@@ -43,7 +43,7 @@ impl SelfTest {
     }
 
     /// Not known.
-    pub fn unused_stack_bytes(&mut self) -> u16 {
+    pub fn scan_unused_stack_bytes(&mut self) -> u16 {
         u16::MAX
     }
 }

@@ -20,7 +20,7 @@ use trueup_machine::{
 use trueup_numerics::line::ErrorStatistics;
 
 use paired_readings::{PairedReadings, RunSegment};
-pub use recommended_changes::{Advice, ConstantChange};
+pub use recommended_changes::{ConstantChange, Recommendations};
 pub use trueup_page::Provenance;
 
 /// Requirements of an acceptance test.
@@ -58,7 +58,7 @@ impl ErrorSummary {
 
 /// The machine's response to 1 µm of offset.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct OffsetGain {
+pub struct AppliedFactor {
     /// 1 is right, −1 the wrong sign, 0 not engaged.
     pub value: f64,
     /// Its 95 % interval.
@@ -85,7 +85,7 @@ pub struct AcceptanceResult {
     /// The machine's response to 1 µm of offset: 1 is right; absent where the runs do not say what the bridge applied,
     /// or not well enough for any figure.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub applied_factor: Option<OffsetGain>,
+    pub applied_factor: Option<AppliedFactor>,
     /// The largest error that is allowed, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit_um: Option<f64>,
@@ -94,7 +94,7 @@ pub struct AcceptanceResult {
     /// Why it has not passed, a sentence each.
     pub unmet: Vec<String>,
     /// Advice on the machine file and the CNC.
-    pub advice: Advice,
+    pub advice: Recommendations,
     /// Notes on the runs, a sentence each.
     pub notes: Vec<String>,
     #[serde(skip)]
@@ -162,7 +162,7 @@ pub fn evaluate_acceptance(
             after.max_um
         ));
     }
-    let applied = pair.offset_application();
+    let applied = pair.estimate_offset_application();
     let wrong = match applied {
         OffsetApplication::OtherFactor(factor) => Some(factor),
         _ => None,
@@ -171,8 +171,8 @@ pub fn evaluate_acceptance(
     pair.notes.extend(unknown_offset_factor_note(applied));
     let passed = unmet.is_empty();
     let (advice, adjusted) = match wrong {
-        Some(_) => (Advice::cnc_troubleshooting(), None),
-        None if passed => (Advice::no_change(), None),
+        Some(_) => (Recommendations::cnc_troubleshooting(), None),
+        None if passed => (Recommendations::no_change(), None),
         None => recommended_changes::recommend_changes(&pair, off, believed)?,
     };
     Ok(AcceptanceResult {
@@ -185,7 +185,7 @@ pub fn evaluate_acceptance(
         required_reduction,
         applied_factor: applied
             .factor()
-            .map(|FactorEstimate { value, ci95 }| OffsetGain { value, ci95 }),
+            .map(|FactorEstimate { value, ci95 }| AppliedFactor { value, ci95 }),
         limit_um: limits.limit_um,
         parts: pair.split_into_segments(),
         unmet,

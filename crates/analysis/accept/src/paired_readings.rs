@@ -271,7 +271,7 @@ impl PairedReadings {
                 // Beyond the shorter of the two nothing is known.
                 _ => continue,
             };
-            self.push(*time, off.values_at_row(row), there);
+            self.push_pair(*time, off.values_at_row(row), there);
         }
         let known = off.measured_um.iter().filter(|um| um.is_finite()).count();
         if self.at.len() < known {
@@ -283,7 +283,7 @@ impl PairedReadings {
     }
 
     /// A reading of both.
-    fn push(&mut self, at: f64, off: [f64; 3], on: [f64; 3]) {
+    fn push_pair(&mut self, at: f64, off: [f64; 3], on: [f64; 3]) {
         self.at.push(at);
         self.off_um.push(off[0]);
         self.on_um.push(on[0]);
@@ -292,7 +292,7 @@ impl PairedReadings {
     }
 
     /// Returns the factor by which the machine applies the offsets of the bridge.
-    pub(crate) fn offset_application(&self) -> OffsetApplication {
+    pub(crate) fn estimate_offset_application(&self) -> OffsetApplication {
         let rows = self.on_um.iter().zip(&self.off_um);
         let difference_um: Vec<f64> = rows.map(|(on, off)| on - off).collect();
         // Places come in any order: their readings have no memory of each other that is known.
@@ -338,7 +338,7 @@ impl PairedReadings {
         };
         for row in (0..off.row_count()).filter(is_known) {
             let at = off.column(over).map_or(row as f64, |all| all[row]);
-            self.push(at, is_off.values_at_row(row), is_on.values_at_row(row));
+            self.push_pair(at, is_off.values_at_row(row), is_on.values_at_row(row));
         }
         Ok(())
     }

@@ -20,7 +20,7 @@ const MIN_RELATIVE_CHANGE: f64 = 0.01;
 
 /// Advice on the machine file and the CNC.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Advice {
+pub struct Recommendations {
     /// A sentence each.
     pub sentences: Vec<String>,
     /// The constants to change.
@@ -41,7 +41,7 @@ pub struct ConstantChange {
     pub ci95: Option<[f64; 2]>,
 }
 
-impl Advice {
+impl Recommendations {
     pub(crate) fn no_change() -> Self {
         Self { sentences: vec!["Nothing is to be changed.".into()], changes: Vec::new() }
     }
@@ -60,9 +60,9 @@ pub(crate) fn recommend_changes(
     pair: &PairedReadings,
     off: &RunFile,
     believed: Option<(&str, &Machine)>,
-) -> Result<(Advice, Option<String>), InputFileError> {
+) -> Result<(Recommendations, Option<String>), InputFileError> {
     let mut advice =
-        Advice { sentences: vec![describe_corrected_fraction(pair)], changes: Vec::new() };
+        Recommendations { sentences: vec![describe_corrected_fraction(pair)], changes: Vec::new() };
     let Some((source, machine)) = believed else {
         advice.sentences.push(
             "Give the machine file that the bridge ran (--machine) to learn which constant to change."
@@ -79,7 +79,7 @@ pub(crate) fn recommend_changes(
         );
         return Ok((advice, None));
     };
-    if !report.verdict.is_fitted() {
+    if !report.verdict.is_usable() {
         advice.sentences.push(
             "The run without compensation does not show these constants well enough to change any; record \
              for longer, or ask trueup diagnose."

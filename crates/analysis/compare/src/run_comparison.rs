@@ -231,7 +231,7 @@ fn summarise_differences(
     let max_um = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
     let along = over.strip_suffix("_mm")
         == quantity.axis().map(trueup_machine::machine_file::LinearAxis::name);
-    let laws = DifferenceModel::fit_all(&places, along, variance);
+    let laws = DifferenceModel::fit_candidates(&places, along, variance);
     let best = laws.iter().min_by(|a, b| a.bic.total_cmp(&b.bic));
     let nothing = laws[0].bic;
     let best = best
@@ -283,7 +283,11 @@ struct DifferenceModel {
 }
 
 impl DifferenceModel {
-    fn fit_all(places: &[PositionDifference], along: bool, variance: Option<f64>) -> Vec<Self> {
+    fn fit_candidates(
+        places: &[PositionDifference],
+        along: bool,
+        variance: Option<f64>,
+    ) -> Vec<Self> {
         let both = [-1, 1].iter().all(|way| places.iter().any(|place| place.direction == *way));
         let backlash = if both { Some(0) } else { None };
         let slope = Some(1);
@@ -369,7 +373,7 @@ impl DifferenceModel {
         let half = |n: usize| match variance {
             Some(variance) => {
                 fit.confidence_half_width(n)
-                    * (variance / fit.variance().max(f64::MIN_POSITIVE)).sqrt()
+                    * (variance / fit.residual_variance().max(f64::MIN_POSITIVE)).sqrt()
             }
             None => fit.confidence_half_width(n),
         };

@@ -167,7 +167,7 @@ fn fit_trend(
     let half_widths: Vec<f64> = it.points.iter().filter_map(|point| point.half_width).collect();
     let own = (!half_widths.is_empty())
         .then(|| half_widths.iter().sum::<f64>() / half_widths.len() as f64);
-    let squares = line.variance() * line.degrees_of_freedom() as f64;
+    let squares = line.residual_variance() * line.degrees_of_freedom() as f64;
     if let Some((step, evidence)) = fit_step_change(&it.points, squares, own)
         && evidence >= STRONG_EVIDENCE_BIC_DIFFERENCE
     {
@@ -180,7 +180,7 @@ fn fit_trend(
         (it.changes, it.per_year, it.step) = (true, None, Some(step));
         return it;
     }
-    let matters = limit.or(own).unwrap_or(2.0 * line.variance().sqrt());
+    let matters = limit.or(own).unwrap_or(2.0 * line.residual_variance().sqrt());
     it.matters = Some(matters);
     let fastest = rate.abs() + half;
     let years = matters / fastest;

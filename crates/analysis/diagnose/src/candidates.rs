@@ -67,7 +67,7 @@ fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> 
     let held = stated.map(ModelPart::from_stated_term).filter(|ModelPart { kind, .. }| {
         !model.contains(kind)
             && !kind.has_instant()
-            && kind.cause().is_some_and(|cause| has_required_column(problem, cause))
+            && kind.cause().is_some_and(|cause| has_varying_input(problem, cause))
     });
     let mut all: Vec<CandidateTerm> = held
         .map(|ModelPart { kind, values }| CandidateTerm {
@@ -121,7 +121,7 @@ fn is_in_machine_file(problem: &FitProblem, effect: &Effect, starts: &[Vec<f64>]
 }
 
 /// Returns whether the data have the column that a cause depends on, if it depends on one.
-fn has_required_column(problem: &FitProblem, effect: &Effect) -> bool {
+fn has_varying_input(problem: &FitProblem, effect: &Effect) -> bool {
     effect.input_column().is_none_or(|column| is_varying(&problem.data, &column))
 }
 

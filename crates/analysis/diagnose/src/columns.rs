@@ -3,7 +3,7 @@
 use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
-    effect::{ColumnSource, Input},
+    effect::{ColumnSource, LawInput},
     machine_file::Quantity,
     model::Lag,
 };
@@ -59,44 +59,44 @@ impl ColumnSource for LawColumns<'_> {
         self.data.rows
     }
 
-    fn column(&self, input: &Input<'_>) -> Cow<'_, [f64]> {
+    fn column(&self, input: &LawInput<'_>) -> Cow<'_, [f64]> {
         let data = self.data;
         let whole =
             |values: Option<_>| values.map_or_else(|| Cow::Owned(vec![0.0; data.rows]), fill_gaps);
         match *input {
-            Input::Predicted => Cow::Borrowed(self.p),
-            Input::Law => whole(Some(&data.predicted.law)),
-            Input::Believed => whole(Some(&data.predicted.elongation)),
-            Input::Time => whole(data.time_s()),
+            LawInput::Predicted => Cow::Borrowed(self.p),
+            LawInput::Law => whole(Some(&data.predicted.law)),
+            LawInput::Believed => whole(Some(&data.predicted.elongation)),
+            LawInput::Time => whole(data.time_s()),
             // What is of no run is no run's number either.
-            Input::Run => {
+            LawInput::Run => {
                 let run = data.run_numbers();
                 run.map_or_else(|| Cow::Owned(vec![f64::NAN; data.rows]), fill_gaps)
             }
-            Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature_c(column)),
-            Input::Temperature { column, lag_s } => {
+            LawInput::Temperature { column, lag_s: 0.0 } => whole(data.temperature_c(column)),
+            LawInput::Temperature { column, lag_s } => {
                 Cow::Owned(Arc::unwrap_or_clone(data.lagged_column(column, lag_s, lag_s)))
             }
-            Input::Speed => whole(data.spindle_rpm()),
-            Input::SpeedHeat { power, lag_s } => {
+            LawInput::Speed => whole(data.spindle_rpm()),
+            LawInput::SpeedHeat { power, lag_s } => {
                 Cow::Owned(Arc::unwrap_or_clone(data.lagged_spindle_heat(power, lag_s)))
             }
-            Input::Load => whole(data.load_n()),
+            LawInput::Load => whole(data.load_n()),
             // Where it is missing it is not that of the row before.
-            Input::Feed => match column_by_name(data, "feed_mm_per_min") {
+            LawInput::Feed => match column_by_name(data, "feed_mm_per_min") {
                 Some(feeds) => Cow::Borrowed(feeds),
                 None => Cow::Owned(vec![f64::NAN; data.rows]),
             },
-            Input::OwnPosition => whole(data.own_position_mm()),
-            Input::OwnDirection => match data.own_approach_direction() {
+            LawInput::OwnPosition => whole(data.own_position_mm()),
+            LawInput::OwnDirection => match data.own_approach_direction() {
                 Some(direction) => Cow::Borrowed(direction),
                 None => whole(None),
             },
-            Input::Position(axis) => whole(data.position_mm(axis)),
-            Input::Column(column) => {
+            LawInput::Position(axis) => whole(data.position_mm(axis)),
+            LawInput::Column(column) => {
                 whole(column_by_name(data, column).or_else(|| data.own_position_mm()))
             }
-            Input::Lagged { column, lag_s } => {
+            LawInput::Lagged { column, lag_s } => {
                 let (time_s, values) = (whole(data.time_s()), whole(column_by_name(data, column)));
                 let mut lag = Lag::default();
                 let rows = time_s.iter().zip(values.iter());

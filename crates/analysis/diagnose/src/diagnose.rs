@@ -32,7 +32,7 @@ const MAX_ROW_GROUPS: usize = 1000;
 const MIN_ROW_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
 /// more rows this many are drawn by chance. The last fit is to all of them.
-const MAX_MOVING_AXIS_ROWS: usize = 3000;
+const MOVING_AXIS_SAMPLE_ROWS: usize = 3000;
 
 /// Callback for what is being tried, and how far the search has come, 0…1 (NaN: as before).
 pub type ProgressCallback<'p> = dyn FnMut(&str, f64) + 'p;
@@ -86,7 +86,7 @@ pub fn diagnose_with_options(
     let quantity = resolve_quantity(runs, quantity)?;
     resolve_quantity(if holdout.is_empty() { runs } else { holdout }, Some(quantity))?;
     let bridge = BridgeOffsets::from_runs(machine, [runs, holdout], quantity, is_applied_once)?;
-    let factor = bridge.factor();
+    let factor = bridge.offset_factor();
     let data = Arc::new(
         DataTable::with_offset_factor(machine, runs, quantity, factor)?.without_untrusted_columns(),
     );
@@ -198,9 +198,10 @@ fn run_search(
     let size = if moves { 1 } else { rows.div_ceil(MAX_ROW_GROUPS).max(1) };
     // Made when they are needed: of a million rows one by one they take 40 MB.
     let groups = || RowGroups::new(data, &used, size);
-    let fewer = if moves && rows > MAX_MOVING_AXIS_ROWS {
+    let fewer = if moves && rows > MOVING_AXIS_SAMPLE_ROWS {
         let mut generator = RandomGenerator::new(rows as u64);
-        let is_drawn = |used: &bool| *used && generator.uniform_index(rows) < MAX_MOVING_AXIS_ROWS;
+        let is_drawn =
+            |used: &bool| *used && generator.uniform_index(rows) < MOVING_AXIS_SAMPLE_ROWS;
         let drawn: Vec<bool> = used.iter().map(is_drawn).collect();
         let few = data.subset(&drawn);
         let groups = RowGroups::new(&few, &few.used.clone(), 1);

@@ -6,7 +6,7 @@
 use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
-    block_resampling::{Blocks, PairedComparison, RmsReduction, SEGMENT_COUNT, segment_indices},
+    block_resampling::{PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, segment_indices},
     parallel::parallel_map,
 };
 
@@ -25,7 +25,7 @@ pub(crate) struct Folds {
     pub count: usize,
     pub unit: FoldUnit,
     /// Finer blocks, for intervals.
-    blocks: Blocks,
+    blocks: RowBlocks,
 }
 
 /// The unit that is held out at once.
@@ -72,7 +72,7 @@ impl Folds {
         let groups = &problem.groups;
         let count = groups.len();
         let data = &problem.data;
-        let runs = enumerate_runs(&groups.first_row, data.run_numbers());
+        let runs = run_index_by_group(&groups.first_row, data.run_numbers());
         let run_count = runs.iter().max().map_or(0, |most| most + 1);
         let (of_group, count_folds, unit) = if data.setting.files.len() > 1 {
             let file_of = |&row: &usize| data.places.file[row] as usize;
@@ -90,14 +90,14 @@ impl Folds {
             ((0..count).collect(), count, FoldUnit::Readings)
         } else {
             (
-                equal_activity_blocks(&problem.measured, SEGMENT_COUNT),
+                activity_block_indices(&problem.measured, SEGMENT_COUNT),
                 SEGMENT_COUNT,
                 FoldUnit::Segments,
             )
         };
         let otherwise = (unit == FoldUnit::Segments)
             .then(|| (segment_indices(count, EQUAL_LENGTH_BLOCK_COUNT), EQUAL_LENGTH_BLOCK_COUNT));
-        let blocks = Blocks::new(count, memory);
+        let blocks = RowBlocks::new(count, memory);
         Self { of_group, otherwise, count: count_folds, unit, blocks }
     }
 
@@ -119,7 +119,7 @@ impl Folds {
 
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn.
     pub(crate) fn held_out_residuals(&self, problem: &FitProblem, model: &Model) -> Vec<f64> {
-        let first = cached_fold_residuals(problem, model, &self.of_group, self.count);
+        let first = cached_cross_validation(problem, model, &self.of_group, self.count);
         self.root_mean_square_residuals(problem, model, &first.0)
     }
 
@@ -132,7 +132,7 @@ impl Folds {
         first: &[f64],
     ) -> Vec<f64> {
         let Some((of_group, count)) = &self.otherwise else { return first.to_vec() };
-        let second = cached_fold_residuals(problem, model, of_group, *count);
+        let second = cached_cross_validation(problem, model, of_group, *count);
         let mean = |(a, b): (&f64, &f64)| (0.5 * (a * a + b * b)).sqrt().copysign(*a);
         first.iter().zip(&second.0).map(mean).collect()
     }
@@ -148,7 +148,7 @@ impl Folds {
         if model.parts.is_empty() {
             return problem.residual(model);
         }
-        let left_out = cached_fold_residuals(problem, model, &self.of_group, self.count);
+        let left_out = cached_cross_validation(problem, model, &self.of_group, self.count);
         let (residual, models) = &*left_out;
         if run(model) == *model {
             return residual.clone();
@@ -173,7 +173,7 @@ impl Folds {
         problem: &FitProblem,
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
-        let first = cached_fold_residuals(problem, model, &self.of_group, self.count);
+        let first = cached_cross_validation(problem, model, &self.of_group, self.count);
         (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
     }
 
@@ -201,7 +201,7 @@ impl Folds {
 /// warm-up all that can be learned is at its beginning, and a stretch of it that held all of that could
 /// not be predicted by whatever model. How much happens is taken from the means of ten parts of a stretch, so that noise
 /// averages out.
-fn equal_activity_blocks(measured: &[f64], count: usize) -> Vec<usize> {
+fn activity_block_indices(measured: &[f64], count: usize) -> Vec<usize> {
     let groups = measured.len();
     let parts = segment_indices(groups, (10 * count).min(groups));
     let number = parts.last().map_or(0, |last| last + 1);
@@ -227,7 +227,7 @@ fn equal_activity_blocks(measured: &[f64], count: usize) -> Vec<usize> {
 }
 
 /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn; with the models.
-fn cached_fold_residuals(
+fn cached_cross_validation(
     problem: &FitProblem,
     model: &Model,
     of_group: &[usize],
@@ -245,7 +245,9 @@ fn cross_validate(
     count: usize,
 ) -> (Vec<f64>, Vec<Model>) {
     let folds: Vec<usize> = (0..count).collect();
-    let begun = model.unsettled_start().map(|[start, _]| fix_initial_state(problem, model, start));
+    let begun = model
+        .find_initial_transient()
+        .map(|[start, _]| subtract_initial_transient(problem, model, start));
     let fitted = parallel_map(&folds, problem.is_parallel_worthwhile(), |&fold| {
         let mask: Vec<bool> = of_group.iter().map(|&of| of != fold).collect();
         match &begun {
@@ -263,7 +265,7 @@ fn cross_validate(
 /// How far the machine had settled where a record begins cannot be predicted: the stretch with the start is predicted
 /// from the `start` that was fitted to the whole. Returns the problem less the effect of `start`, and the rest of the
 /// model.
-fn fix_initial_state(
+fn subtract_initial_transient(
     problem: &FitProblem,
     model: &Model,
     start: &ModelPart,
@@ -277,7 +279,7 @@ fn fix_initial_state(
 }
 
 /// Returns the runs numbered from 0 in the order in which they come, by group.
-fn enumerate_runs(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
+fn run_index_by_group(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
     let Some(run) = run else { return Vec::new() };
     let mut known: Vec<u64> = Vec::new();
     first_row
@@ -299,11 +301,11 @@ mod tests {
     #[test]
     fn stretches_are_equal_where_as_much_happens_all_the_time_and_shorter_where_more_does() {
         let waves: Vec<f64> = (0..600).map(|n| f64::from(n % 20)).collect();
-        let even = equal_activity_blocks(&waves, 6);
+        let even = activity_block_indices(&waves, 6);
         let length = |of: &[usize], n: usize| of.iter().filter(|there| **there == n).count();
         assert!((0..6).all(|n| length(&even, n).abs_diff(100) <= 20), "{even:?}");
         let warming: Vec<f64> = (0..600).map(|n| 1.0 - (-f64::from(n) / 50.0).exp()).collect();
-        let cut = equal_activity_blocks(&warming, 6);
+        let cut = activity_block_indices(&warming, 6);
         assert!(cut.is_sorted() && length(&cut, 0) < 40 && length(&cut, 5) > 150, "{cut:?}");
     }
 }

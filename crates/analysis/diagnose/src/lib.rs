@@ -146,7 +146,7 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model or a term needs.
-    pub fn expected_error_on(&self, day: &RunFile) -> Result<ErrorAtTool, InputFileError> {
+    pub fn predict_error_at_tool(&self, day: &RunFile) -> Result<ErrorAtTool, InputFileError> {
         self.promise.predict_error(&self.data, std::slice::from_ref(day))
     }
 
@@ -163,8 +163,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model needs.
-    pub fn log_likelihood_ratio(&self, run: &RunFile) -> Result<Option<f64>, InputFileError> {
-        next_run::log_likelihood_ratio(&self.questions, &self.data, run)
+    pub fn likelihood_ratio_statistic(&self, run: &RunFile) -> Result<Option<f64>, InputFileError> {
+        next_run::likelihood_ratio_statistic(&self.questions, &self.data, run)
     }
 
     /// Returns whether a board corrects anything by the extended machine file: not what only explains.

@@ -95,7 +95,7 @@ impl MachineLaws {
 
     /// `data` as if the thermometers of the machine's own laws, and that of `column`, were smoothed over
     /// `width_s`, without being late.
-    pub(crate) fn table_with_smoothed_thermometers(
+    pub(crate) fn table_with_smooth_temperatures(
         data: &DataTable,
         column: Option<&str>,
         width_s: f64,
@@ -103,7 +103,7 @@ impl MachineLaws {
         let own = Self::from_machine(data);
         let others = column.filter(|column| !own.thermometer_columns().any(|own| own == *column));
         let columns: Vec<&str> = own.thermometer_columns().chain(others).collect();
-        Self::table_with_changed_thermometers(data, &columns, &|data, column| {
+        Self::transform_temperatures(data, &columns, &|data, column| {
             data.smooth_temperature(column, width_s)
         })
     }
@@ -120,15 +120,17 @@ impl MachineLaws {
         match (column, &data.whole) {
             (None, _) => {
                 let own = Self::from_machine(data);
-                Self::table_with_changed_thermometers(
+                Self::transform_temperatures(
                     data,
                     &own.thermometer_columns().collect::<Vec<_>>(),
                     &delay_temperature,
                 )
             }
-            (Some(_), Some(whole)) => {
-                data.select_same_rows(Self::table_with_thermometer_lag(&whole.data, column, late_s))
-            }
+            (Some(_), Some(whole)) => data.with_parent_table(Self::table_with_thermometer_lag(
+                &whole.data,
+                column,
+                late_s,
+            )),
             (Some(column), None) => {
                 let mut late = data.clone();
                 delay_temperature(&mut late, column);
@@ -138,13 +140,13 @@ impl MachineLaws {
     }
 
     /// `data` with the thermometers of `columns` changed, and the machine's own laws with them.
-    fn table_with_changed_thermometers(
+    fn transform_temperatures(
         data: &DataTable,
         columns: &[&str],
         change: &dyn Fn(&mut DataTable, &str),
     ) -> DataTable {
         if let Some(whole) = &data.whole {
-            return data.select_same_rows(Self::table_with_changed_thermometers(
+            return data.with_parent_table(Self::transform_temperatures(
                 &whole.data,
                 columns,
                 change,
@@ -192,7 +194,7 @@ impl MachineLaws {
 
     /// Returns the law of the elongation, where it is corrected and the axis's is not, and it is a factor times a
     /// temperature.
-    pub(crate) fn growth(&self, data: &DataTable) -> Option<ThermalGrowth<'_>> {
+    pub(crate) fn thermal_growth(&self, data: &DataTable) -> Option<ThermalGrowth<'_>> {
         let spindle = self.spindle.as_ref().filter(|_| self.thermal.is_none())?;
         self.spindle_growth(spindle, data)
     }
@@ -220,7 +222,7 @@ impl MachineLaws {
         match (spindle.source, &spindle.warmup) {
             (Some(ElongationSource::Warmup), Some(model)) => {
                 if let Some(whole) = &data.whole {
-                    return whole.select_rows(&self.elongation_um(&whole.data)).into();
+                    return whole.aggregate_values(&self.elongation_um(&whole.data)).into();
                 }
                 let Some(time_s) = data.time_s() else { return Cow::Borrowed(&data.predicted.law) };
                 let rated_rpm = model.rated_rpm.unwrap_or(1.0);

@@ -36,7 +36,9 @@ impl Model {
     /// The parts in their fixed order.
     pub(crate) fn sort_parts(&mut self) {
         // Corrections of constants are in no order among each other.
-        self.parts.sort_by_key(|part| part.kind.stage().max(PredictionStage::FallingTimeConstants));
+        self.parts.sort_by_key(|part| {
+            part.kind.prediction_stage().max(PredictionStage::FallingTimeConstants)
+        });
     }
 
     pub(crate) fn contains(&self, kind: &TermKind) -> bool {
@@ -45,7 +47,7 @@ impl Model {
 
     /// Returns the part that settles from the start on as fast as the law of another part does, and that part: the
     /// machine had not settled when the record began, and the lagged law cannot know where it stood.
-    pub(crate) fn unsettled_start(&self) -> Option<[&ModelPart; 2]> {
+    pub(crate) fn find_initial_transient(&self) -> Option<[&ModelPart; 2]> {
         let is_start = |part: &&ModelPart| part.kind.is_settling_from_start();
         let start = self.parts.iter().find(is_start)?;
         let late = |part: &&ModelPart| {
@@ -127,11 +129,11 @@ impl Model {
 /// predicted at another time may be of a row that was not drawn.
 pub(crate) fn shift_prediction(data: &DataTable, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
     let whole = data.full_table();
-    let drawn = data.sampling_parent().map(ParentTable::source_rows);
+    let drawn = data.sampling_parent().map(ParentTable::first_source_rows);
     let Some(time_s) = whole.time_s() else {
         return data
             .sampling_parent()
-            .map_or_else(|| whole_um.to_vec(), |drawn| drawn.select_rows(whole_um));
+            .map_or_else(|| whole_um.to_vec(), |drawn| drawn.aggregate_values(whole_um));
     };
     // Files may overlap in time without running back; each is shifted for itself.
     let mut out = Vec::with_capacity(data.rows);

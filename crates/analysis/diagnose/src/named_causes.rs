@@ -87,15 +87,18 @@ pub fn fit_named_causes(
     let quantity = resolve_quantity(runs, options.quantity)?;
     let bridge = BridgeOffsets::from_runs(machine, [runs, &[]], quantity, options.is_applied_once)?;
     let data = Arc::new(
-        DataTable::with_offset_factor(machine, runs, quantity, bridge.factor())?
+        DataTable::with_offset_factor(machine, runs, quantity, bridge.offset_factor())?
             .without_untrusted_columns(),
     );
     let aside = outliers::find_repeat_outliers(&data, &Model::default().predict(&data));
-    let (problem, base) = fit_all(&data, &aside, together);
+    let (problem, base) = fit_joint_model(&data, &aside, together);
     let gross = outliers::find_gross_errors(&data, &base.model.predict(&data));
     let aside: Vec<bool> = aside.iter().zip(gross).map(|(there, gross)| *there || gross).collect();
-    let (problem, base) =
-        if aside.contains(&true) { fit_all(&data, &aside, together) } else { (problem, base) };
+    let (problem, base) = if aside.contains(&true) {
+        fit_joint_model(&data, &aside, together)
+    } else {
+        (problem, base)
+    };
     Ok(NamedCauseFits {
         together: together
             .iter()
@@ -106,7 +109,7 @@ pub fn fit_named_causes(
 }
 
 /// Returns the model with all these causes, fitted without the rows `aside`.
-fn fit_all(
+fn fit_joint_model(
     data: &Arc<DataTable>,
     aside: &[bool],
     causes: &[NamedCause<'_>],

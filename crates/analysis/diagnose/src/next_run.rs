@@ -26,11 +26,11 @@ use crate::{
     data::DataTable, fit::CONFIDENCE_LEVEL,
     search::model_comparison::STRONG_EVIDENCE_BIC_DIFFERENCE,
 };
-use axis_run::AxisForecast;
+use axis_run::AxisForecaster;
 pub use axis_run::AxisRun;
 use model_pair::{ModelPair, Separation};
-use spindle_forecast::SpindleForecast;
-use spindle_run_candidates::spindle_candidates;
+use spindle_forecast::SpindleForecaster;
+use spindle_run_candidates::candidate_spindle_runs;
 
 /// Returns the expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
 /// is expected to be G scatters by 2√G, so that G − 2·z·√G is that much, z the one-sided quantile.
@@ -219,7 +219,7 @@ pub(crate) fn find_next_run(
     if questions.is_empty() {
         return Err(NoNextRunReason::NothingOpen);
     }
-    let foreseen = candidate_runs(data, runs, gauge)?;
+    let foreseen = forecast_candidate_runs(data, runs, gauge)?;
     let mut refused = None;
     for (number, question) in questions.iter().enumerate() {
         let gaps: Vec<Separation> =
@@ -262,13 +262,13 @@ struct CandidateRun {
 }
 
 /// Returns all that are thought of.
-fn candidate_runs(
+fn forecast_candidate_runs(
     data: &DataTable,
     runs: &[RunFile],
     gauge: ReadingMethod,
 ) -> Result<Vec<CandidateRun>, NoNextRunReason> {
     if let Some(axis) = data.setting.quantity.axis() {
-        let foresight = AxisForecast::from_runs(runs, &data.setting.machine, axis, gauge)
+        let foresight = AxisForecaster::from_runs(runs, &data.setting.machine, axis, gauge)
             .map_err(NoNextRunReason::NotPredictable)?;
         let inputs = foresight.input_columns();
         let all = foresight.candidate_runs().into_iter().filter_map(|run| {
@@ -280,9 +280,9 @@ fn candidate_runs(
         return Ok(all.collect());
     }
     let foresight =
-        SpindleForecast::from_runs(runs, gauge).map_err(NoNextRunReason::NotPredictable)?;
+        SpindleForecaster::from_runs(runs, gauge).map_err(NoNextRunReason::NotPredictable)?;
     let inputs = foresight.input_columns();
-    let all = spindle_candidates(&foresight).into_iter().filter_map(|stretches| {
+    let all = candidate_spindle_runs(&foresight).into_iter().filter_map(|stretches| {
         let table = foresight.forecast_table(&stretches, data)?;
         let minutes = stretches.iter().map(|stretch| stretch.minutes).sum();
         let every_s = foresight.every_s;
@@ -293,7 +293,7 @@ fn candidate_runs(
 }
 
 /// Returns what `run` has measured for the first of `questions`.
-pub(crate) fn log_likelihood_ratio(
+pub(crate) fn likelihood_ratio_statistic(
     questions: &[ModelPair],
     data: &DataTable,
     run: &RunFile,
@@ -302,7 +302,7 @@ pub(crate) fn log_likelihood_ratio(
     let mut table =
         DataTable::new(&data.setting.machine, std::slice::from_ref(run), data.setting.quantity)?;
     table.copy_origin_from(data);
-    Ok(Some(question.log_likelihood_ratio(&table)))
+    Ok(Some(question.likelihood_ratio_statistic(&table)))
 }
 
 #[cfg(test)]

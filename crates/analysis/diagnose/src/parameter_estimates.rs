@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-use trueup_machine::effect::{self, NonlinearParameter, Parameter};
+use trueup_machine::effect::{self, FindingParameter, NonlinearParameter};
 use trueup_numerics::{least_squares::normal_equations, noise::NoiseModel, t_quantile};
 
 use crate::{
@@ -65,18 +65,20 @@ pub(crate) fn estimate_parameters(
     let listed = part.kind.cause().map(|cause| cause.parameters(&part.values)).unwrap_or_default();
     for parameter in &listed {
         match parameter {
-            Parameter::Fitted(name, number, offset) => {
+            FindingParameter::Fitted(name, number, offset) => {
                 let [low, high] = interval(*number);
                 let shifted = [low + offset, high + offset];
                 insert_estimate(&mut map, name, part.values[*number] + offset, shifted);
             }
-            Parameter::Fixed(name, value) => insert_estimate(&mut map, name, *value, [*value; 2]),
-            Parameter::Instant(name, number) => {
+            FindingParameter::Fixed(name, value) => {
+                insert_estimate(&mut map, name, *value, [*value; 2])
+            }
+            FindingParameter::Instant(name, number) => {
                 let at_s = part.values[*number];
                 let interval_s = jump_time_confidence_interval_s(problem, at_s);
                 insert_estimate(&mut map, name, at_s, interval_s);
             }
-            Parameter::Waves(period, harmonics) => {
+            FindingParameter::Waves(period, harmonics) => {
                 let (start, harmonic) =
                     largest_harmonic(&part.values[nonlinear.len()..], harmonics);
                 let start = nonlinear.len() + start;
@@ -97,14 +99,14 @@ pub(crate) fn estimate_parameters(
                     [low / harmonic, high / harmonic],
                 );
             }
-            Parameter::Record(name, record) => {
+            FindingParameter::Record(name, record) => {
                 let json = |value: &Option<_>| value.as_ref().map_or(Value::Null, value_to_json);
                 let entries = record.iter().map(|(key, value)| (key.to_string(), json(value)));
                 let record: Map<String, Value> = entries.collect();
                 let intervals = &intervals[nonlinear.len()..];
                 map.insert((*name).into(), json!({"value": record, "ci95": intervals}));
             }
-            Parameter::Records(name, records) => {
+            FindingParameter::Records(name, records) => {
                 let entry =
                     |(key, value): &(_, _)| (ToString::to_string(key), value_to_json(value));
                 let record =
@@ -112,7 +114,7 @@ pub(crate) fn estimate_parameters(
                 let records: Vec<_> = records.iter().map(record).collect();
                 map.insert((*name).into(), json!({"value": records}));
             }
-            Parameter::Stated(name, value) => {
+            FindingParameter::Stated(name, value) => {
                 map.insert((*name).into(), json!({"value": value_to_json(value)}));
             }
         }

@@ -137,10 +137,11 @@ pub(crate) fn fit_reciprocal_wave(at: &[f64], values: &[f64]) -> Option<(Vec<f64
     }
     // As many rows as show the periods that matter, and no more, drawn by chance: rows at equal steps
     // may all stand at one phase.
-    const MAX_SAMPLED_ROWS: usize = 1200;
+    const EXPECTED_SAMPLE_ROWS: usize = 1200;
     let mut generator = RandomGenerator::new(at.len() as u64);
-    let drawn: Vec<usize> =
-        (0..at.len()).filter(|_| generator.uniform_index(at.len()) < MAX_SAMPLED_ROWS).collect();
+    let drawn: Vec<usize> = (0..at.len())
+        .filter(|_| generator.uniform_index(at.len()) < EXPECTED_SAMPLE_ROWS)
+        .collect();
     let thin = |list: &[f64]| -> Vec<f64> { drawn.iter().map(|&row| list[row]).collect() };
     let (at, values) = (thin(at), thin(values));
     // P + P₀ is positive on one side of the travel, negative on the other.

@@ -100,7 +100,7 @@ impl TargetPositions {
 
     /// Returns the readings, each with the value `of` its number among the rows that this was made of and its
     /// row.
-    pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<RepeatReading> {
+    pub(crate) fn to_repeat_readings(&self, of: impl Fn(usize) -> f64) -> Vec<RepeatReading> {
         let with = |(reading, &row): (&RepeatReading, &usize)| RepeatReading {
             value: of(row),
             ..*reading
@@ -115,7 +115,7 @@ impl TargetPositions {
         residual: impl Fn(usize) -> f64,
     ) -> Vec<bool> {
         let mut aside = vec![false; data.rows];
-        let found = find_gross_errors(&self.readings(residual));
+        let found = find_gross_errors(&self.to_repeat_readings(residual));
         self.rows.iter().zip(found).for_each(|(&row, found)| aside[row] = found);
         aside
     }
@@ -143,7 +143,7 @@ impl TargetPositions {
     }
 
     /// Returns the tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
-    pub(crate) fn candidate_laws(&self, data: &DataTable) -> Vec<TableLaw> {
+    pub(crate) fn candidate_table_laws(&self, data: &DataTable) -> Vec<TableLaw> {
         let has = |side: usize| self.readings.iter().any(|reading| reading.side == side);
         let mut laws = vec![TableLaw::Table];
         if has(0) && has(1) {
@@ -156,7 +156,7 @@ impl TargetPositions {
     }
 
     /// Returns a law as terms, neutral; none where no table of equal steps is determined by these places.
-    pub(crate) fn law_terms(&self, law: TableLaw) -> Option<Vec<ModelPart>> {
+    pub(crate) fn table_law_terms(&self, law: TableLaw) -> Option<Vec<ModelPart>> {
         let (start_mm, step_mm, points) = self.table_grid()?;
         let forward_um = vec![0.0; points];
         let reverse_um = (law == TableLaw::EachSide).then(|| forward_um.clone());

@@ -45,7 +45,7 @@ impl ModelPart {
     pub(crate) fn remove_feed_dependence(&mut self) {
         let Some(cause) = self.kind.cause() else { return };
         let whole = cause.with_values(&self.values);
-        let held = whole.without_feed();
+        let held = whole.without_feed_dependence();
         if held != whole {
             self.values = held.values();
             let neutral = held.with_values(&vec![0.0; held.parameter_count()]);
@@ -181,28 +181,31 @@ impl TermKind {
     }
 
     /// When it acts.
-    pub(crate) fn stage(&self) -> PredictionStage {
+    pub(crate) fn prediction_stage(&self) -> PredictionStage {
         self.cause().map_or(PredictionStage::Sum, |effect| effect.stage())
     }
 
     /// Returns whether it may change the constants of the machine's own model, or the source's law.
     pub(crate) fn is_constant_correction(&self) -> bool {
-        matches!(self.stage(), PredictionStage::Constant | PredictionStage::FallingTimeConstants)
+        matches!(
+            self.prediction_stage(),
+            PredictionStage::Constant | PredictionStage::FallingTimeConstants
+        )
     }
 
     /// Returns whether it multiplies the prediction.
     pub(crate) fn is_multiplicative(&self) -> bool {
-        self.stage() == PredictionStage::Factor
+        self.prediction_stage() == PredictionStage::Factor
     }
 
     /// Returns whether it only adds its columns, whatever the rest of the model is.
     pub(crate) fn is_additive(&self) -> bool {
-        self.stage() == PredictionStage::Sum
+        self.prediction_stage() == PredictionStage::Sum
     }
 
     /// Returns whether it moves all of the model in time.
     pub(crate) fn is_time_shift(&self) -> bool {
-        self.stage() == PredictionStage::Shift
+        self.prediction_stage() == PredictionStage::Shift
     }
 
     /// Returns whether it changes the elongation, which then goes along the tool; else the axis.
@@ -263,7 +266,7 @@ impl TermKind {
 
     /// Returns whether it takes two recorded inputs together.
     pub(crate) fn is_interaction(&self) -> bool {
-        self.cause().is_some_and(Effect::is_composite)
+        self.cause().is_some_and(Effect::is_flexible)
     }
 
     /// Returns whether it is the error of the reference instrument.

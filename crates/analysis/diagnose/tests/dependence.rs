@@ -2,7 +2,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_campaigns::hidden_effects::{HiddenCause, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw_test_case};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, machine_file::Quantity, predict::RunPredictor};
 use trueup_twin::noise::RandomStream;
@@ -151,7 +151,7 @@ fn where_nothing_depends_on_a_column_none_is_named() {
 
 #[test]
 fn the_extended_file_predicts_what_the_diagnosis_says() {
-    let challenge = draw(HiddenCause::Dependence, 10.0, 1);
+    let challenge = draw_test_case(HiddenCause::Dependence, 10.0, 1);
     let runs: Vec<&str> = challenge.runs.iter().map(String::as_str).collect();
     let diagnosis = answer(&challenge.machine, &runs, &[&challenge.holdout]);
     let text = diagnosis

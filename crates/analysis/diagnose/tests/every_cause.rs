@@ -4,7 +4,7 @@
 
 use statrs::distribution::{Binomial, DiscreteCDF};
 use trueup_campaigns::{
-    hidden_effects::{HiddenCause, TestCase, draw, draw_pair},
+    hidden_effects::{HiddenCause, TestCase, draw_test_case, draw_test_case_with_cause_pair},
     score::{
         cause_pairs::{
             CausePair, EFFECT_TO_NOISE_RATIO, MAX_INCORRECT_FRACTION, MIN_CORRECT_FRACTION,
@@ -21,7 +21,7 @@ fn each_is_found(causes: &[HiddenCause]) {
     for &cause in causes {
         let scores: Vec<HiddenEffectScore> = (0..2)
             .map(|seed| {
-                let challenge = draw(cause, EFFECT_TO_NOISE_RATIO, seed);
+                let challenge = draw_test_case(cause, EFFECT_TO_NOISE_RATIO, seed);
                 score_diagnosis(&challenge, &run_diagnosis(&challenge))
             })
             .collect();
@@ -51,7 +51,7 @@ fn is_of_axis(challenge: &TestCase) -> bool {
 fn of(is_axis: bool, part: usize, parts: usize) -> Vec<HiddenCause> {
     let all = named_causes()
         .into_iter()
-        .filter(|cause| is_of_axis(&draw(*cause, EFFECT_TO_NOISE_RATIO, 0)) == is_axis);
+        .filter(|cause| is_of_axis(&draw_test_case(*cause, EFFECT_TO_NOISE_RATIO, 0)) == is_axis);
     all.enumerate().filter(|(number, _)| number % parts == part).map(|(_, cause)| cause).collect()
 }
 
@@ -84,8 +84,8 @@ fn each_cause_of_an_axis_is_found_second_half() {
 fn both_are_found(is_axis: bool) {
     let (mut count, mut right, mut wrong) = (0, 0, 0);
     let is_asked = |CausePair(a, b): &CausePair| {
-        let drawn =
-            draw_pair(*a, *b, EFFECT_TO_NOISE_RATIO, 0).expect("they stand beside each other");
+        let drawn = draw_test_case_with_cause_pair(*a, *b, EFFECT_TO_NOISE_RATIO, 0)
+            .expect("they stand beside each other");
         is_of_axis(&drawn) == is_axis
     };
     for pair in CausePair::all_compatible().into_iter().filter(is_asked) {

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use serde_json::Value;
-use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw_test_case};
 use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, machine_file::Quantity, predict::RunPredictor};
 
@@ -33,7 +33,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn each_feed_has_its_width_within_its_interval() {
     let (mut inside, mut all) = (0, 0);
     for seed in 0..3 {
-        let challenge = draw(HiddenCause::FeedDependentBacklash, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::FeedDependentBacklash, 3.0, seed);
         let diagnosis = answer(&challenge);
         let found = finding(&diagnosis.report.findings, CAUSE).expect("it is claimed");
         assert_eq!(found.column.as_deref(), Some("feed_mm_per_min"));
@@ -55,7 +55,7 @@ fn each_feed_has_its_width_within_its_interval() {
 
 #[test]
 fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told() {
-    let challenge = draw(HiddenCause::FeedDependentBacklash, 3.0, 1);
+    let challenge = draw_test_case(HiddenCause::FeedDependentBacklash, 3.0, 1);
     let diagnosis = answer(&challenge);
     let report = &diagnosis.report;
     let after = &report.after;
@@ -87,7 +87,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
 #[test]
 fn a_backlash_that_is_the_same_at_each_feed_keeps_its_simpler_name() {
     for seed in 0..2 {
-        let mut challenge = draw(HiddenCause::Backlash, 3.0, seed);
+        let mut challenge = draw_test_case(HiddenCause::Backlash, 3.0, seed);
         fast_and_slow_by_turns(&mut challenge);
         let report = answer(&challenge).report;
         assert!(finding(&report.findings, "backlash").is_some(), "{seed}: {:?}", report.findings);

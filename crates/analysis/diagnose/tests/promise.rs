@@ -56,12 +56,12 @@ fn what_only_averages_noise_is_not_named() {
 fn what_is_left_is_the_noise_of_the_inputs_through_the_law() {
     let diagnosis = diagnosed(day(changing, 0.1, 0.0, 1));
     let promised =
-        diagnosis.expected_error_on(&day(|_| 30.0, 0.1, 0.0, 2)).expect("the same columns");
+        diagnosis.predict_error_at_tool(&day(|_| 30.0, 0.1, 0.0, 2)).expect("the same columns");
     println!("{promised:?}");
     assert!((promised.before_um - 10.0).abs() < 0.1);
     assert!((promised.after_um - 0.3).abs() < 0.03);
     let misread =
-        diagnosis.expected_error_on(&day(|_| 30.0, 0.1, 50.0, 2)).expect("the same columns");
+        diagnosis.predict_error_at_tool(&day(|_| 30.0, 0.1, 50.0, 2)).expect("the same columns");
     assert!((misread.after_um - promised.after_um).abs() < 0.03);
 }
 
@@ -69,12 +69,13 @@ fn what_is_left_is_the_noise_of_the_inputs_through_the_law() {
 #[test]
 fn a_day_that_asks_for_less_is_promised_less() {
     let diagnosis = diagnosed(day(changing, 0.1, 0.0, 1));
-    let mild = diagnosis.expected_error_on(&day(|_| 21.0, 0.1, 0.0, 2)).expect("the same columns");
+    let mild =
+        diagnosis.predict_error_at_tool(&day(|_| 21.0, 0.1, 0.0, 2)).expect("the same columns");
     // 1 µm, and 0.1 K through the 2 µm/K that were believed.
     assert!((mild.before_um - (1.0_f64 + 0.04).sqrt()).abs() < 0.05, "{mild:?}");
     assert!((mild.after_um - 0.3).abs() < 0.03, "{mild:?}");
     let quiet = diagnosed(day(changing, 0.0, 0.0, 1));
-    let quiet = quiet.expected_error_on(&day(changing, 0.0, 0.0, 2)).expect("the same columns");
+    let quiet = quiet.predict_error_at_tool(&day(changing, 0.0, 0.0, 2)).expect("the same columns");
     assert!(quiet.after_um < 0.05, "{quiet:?}");
 }
 
@@ -83,7 +84,7 @@ fn a_day_that_asks_for_less_is_promised_less() {
 fn what_wanders_is_left() {
     let diagnosis = diagnosed(day(changing, 0.0, 1.0, 3));
     let promised =
-        diagnosis.expected_error_on(&day(changing, 0.0, 1.0, 4)).expect("the same columns");
+        diagnosis.predict_error_at_tool(&day(changing, 0.0, 1.0, 4)).expect("the same columns");
     println!("{promised:?}");
     assert!((0.7..1.5).contains(&promised.after_um));
 }

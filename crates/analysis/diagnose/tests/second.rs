@@ -4,10 +4,10 @@
 use std::path::Path;
 
 use trueup_campaigns::{
-    hidden_effects::{HiddenCause, TestCase, draw},
+    hidden_effects::{HiddenCause, TestCase, draw_test_case},
     known_term::{
-        draw_test_case_with_changed_term, draw_test_case_with_known_term,
-        known_and_new_cause_pairs, known_causes,
+        compensated_causes, draw_test_case_with_changed_term, draw_test_case_with_known_term,
+        known_and_new_cause_pairs,
     },
     score::hidden_effect::{ScoreRow, run_diagnosis, score_diagnosis},
 };
@@ -92,7 +92,7 @@ fn measured_anew(
 /// Returns a machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
 /// 1.2.
 fn gain_beside_growth(seed: u64) -> TestCase {
-    let mut challenge = draw(HiddenCause::SensorGain, 3.0, seed);
+    let mut challenge = draw_test_case(HiddenCause::SensorGain, 3.0, seed);
     let truth = challenge.truth.clone();
     let whole = |believed_um: f64, rpm: f64| 1.2 * believed_um + 0.02 * (rpm / 1000.0).powi(2);
     let name = format!("measured_{}_um", challenge.quantity);
@@ -197,7 +197,7 @@ fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
         Some((format!("{} beside {}", b.name(), a.name()), challenge))
     });
     assert!(scored_all(beside.collect()) >= 0.95);
-    let aged = known_causes()
+    let aged = compensated_causes()
         .map(|cause| (cause.name().to_string(), draw_test_case_with_changed_term(cause, 3.0, 0)));
     assert!(scored_all(aged.collect()) >= 0.9);
 }

@@ -38,7 +38,7 @@ pub fn clamped_knots(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<
 }
 
 /// Returns the knot span that holds `x`: the largest s of order−1…n−1 with `knots[s] <= x`.
-fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
+fn find_knot_span(knots: &[f64], order: usize, x: f64) -> usize {
     let count = knots.len() - order;
     knots.partition_point(|&knot| knot <= x).saturating_sub(1).clamp(order - 1, count - 1)
 }
@@ -51,7 +51,7 @@ fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
 #[must_use]
 pub(crate) fn evaluate_basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
     assert!((1..=MAX_SPLINE_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
-    evaluate_basis_in_span(knots, order, knot_span(knots, order, x), x)
+    evaluate_basis_in_span(knots, order, find_knot_span(knots, order, x), x)
 }
 
 /// [`basis`] in a span that is known.
@@ -84,7 +84,7 @@ fn evaluate_basis_in_span(
 pub fn evaluate_with_derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
     let BSpline { order, knots_mm: knots, control_um } = spline;
     let order = *order;
-    let span = knot_span(knots, order, x);
+    let span = find_knot_span(knots, order, x);
     let mut points = [0.0; MAX_SPLINE_ORDER];
     points[..order].copy_from_slice(&control_um[span + 1 - order..=span]);
     let mut result = [0.0; 3];
@@ -127,7 +127,11 @@ pub(crate) fn max_slope_and_curvature(spline: &BSpline, per_span: usize) -> (f64
 /// Returns whether points at `x` (rising) determine every coefficient: each basis function has a point of
 /// its own within its support, in order (Schoenberg and Whitney).
 #[must_use]
-pub fn is_determined(knots: &[f64], order: usize, mut x: impl Iterator<Item = f64>) -> bool {
+pub fn satisfies_schoenberg_whitney(
+    knots: &[f64],
+    order: usize,
+    mut x: impl Iterator<Item = f64>,
+) -> bool {
     let count = knots.len() - order;
     let [first, last] = [knots[0], knots[knots.len() - 1]];
     (0..count).all(|j| {
@@ -375,7 +379,7 @@ mod tests {
     #[test]
     fn each_function_needs_a_point_of_its_own() {
         let knots = clamped_knots(4, 0.0, &[5.0], 10.0);
-        let determined = |x: &[f64]| is_determined(&knots, 4, x.iter().copied());
+        let determined = |x: &[f64]| satisfies_schoenberg_whitney(&knots, 4, x.iter().copied());
         assert!(determined(&[0.0, 1.0, 2.0, 6.0, 10.0]));
         assert!(determined(&[1.0, 2.0, 3.0, 4.0, 6.0]));
         assert!(!determined(&[0.0, 1.0, 2.0, 6.0]), "five functions, four points");

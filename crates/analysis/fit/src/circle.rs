@@ -56,7 +56,7 @@ pub(crate) use self::record_reader::extract_circle_records as records;
 pub use self::{
     circular_deviations::CircularDeviations,
     findings::{CircleCause, CircleFinding},
-    html_report::build_page,
+    html_report::build_circle_page,
     record::{CirclePlane, CircleRecord},
 };
 use crate::report::{ExcludedRow, ResidualStatistics};
@@ -129,14 +129,15 @@ impl CircleVerdict {
 ///
 /// # Errors
 /// A run lacks `measured_dr_um` or two positions that move on a circle, or has too few rows of it.
-pub fn fit_circles(
+pub fn analyse_circles(
     runs: &[RunFile],
     machine: Option<&Machine>,
 ) -> Result<CircleReport, InputFileError> {
     let (records, mut warnings) = record_reader::extract_circle_records(runs, machine)?;
     let mut circles: Vec<CircleResult> =
         records.into_iter().map(analysis::analyse_circle).collect();
-    let (edit, written) = machine_sections::write_sections(&mut circles, machine, &mut warnings);
+    let (edit, written) =
+        machine_sections::build_machine_file_edit(&mut circles, machine, &mut warnings);
     let all = || circles.iter().flat_map(|circle| &circle.findings);
     let is_left = circles.iter().any(|circle| circle.structure_um.is_some());
     let (claimed, open) =

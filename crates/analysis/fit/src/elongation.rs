@@ -57,35 +57,35 @@ pub fn fit_elongation(
         Some(ElongationSource::Temperature) => {
             fit_elongation_by_temperature(&rows, machine, options)
         }
-        Some(ElongationSource::Sensor) => fit_by_sensor(&rows, machine),
+        Some(ElongationSource::Sensor) => fit_elongation_by_sensor(&rows, machine),
         _ if has_counts || rows.common_temperature_columns().is_empty() => {
-            fit_by_sensor(&rows, machine)
+            fit_elongation_by_sensor(&rows, machine)
         }
         _ => fit_elongation_by_temperature(&rows, machine, options),
     }
 }
 
-fn fit_by_sensor(
+fn fit_elongation_by_sensor(
     rows: &PooledRows<'_>,
     machine: Option<&Machine>,
 ) -> Result<FitReport, InputFileError> {
-    let counts = rows.required_column("sensor_counts")?;
-    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
+    let counts = rows.require_column("sensor_counts")?;
+    let mut y = rows.require_column(MEASURED_ELONGATION_COLUMN)?;
     let is_used: Vec<bool> =
         counts.iter().zip(&y).map(|(v, y)| !v.is_nan() && !y.is_nan()).collect();
     let mut report = FitReport::new("elongation", MEASURED_ELONGATION_COLUMN);
     let old = machine.and_then(|machine| machine.spindle.sensor.as_ref());
-    check_input_variation(rows, "sensor_counts", &counts, &is_used, 3)?;
+    reject_insufficient_input(rows, "sensor_counts", &counts, &is_used, 3)?;
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
 
     let ones = vec![1.0; counts.len()];
     let found = robust::find_regression_outliers(&[&ones, &counts], &y);
-    let found = robust::isolated_outliers(found, &counts, &y);
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
+    let found = robust::retain_isolated_outliers(found, &counts, &y);
+    report.excluded = rows.list_excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    check_input_variation(rows, "sensor_counts", &counts, &is_used, 3)?;
+    reject_insufficient_input(rows, "sensor_counts", &counts, &is_used, 3)?;
 
     let smallest = counts.iter().zip(&is_used).filter(|(_, used)| **used).map(|(v, _)| *v);
     let zero_counts =
@@ -117,12 +117,12 @@ fn fit_by_sensor(
     if let Some(old) = old {
         let of_old: Vec<f64> =
             y.iter().zip(&counts).map(|(y, v)| y - elongation_um(old, *v)).collect();
-        report_previous_fit(&mut report, &of_old);
+        add_previous_model_statistics(&mut report, &of_old);
     }
     add_residual_statistics(&mut report, &y, &residuals, held_out, by, wider);
     warn_about_curvature(&mut report, &columns, &y, &line);
     set_fit_verdict(&mut report, &y, groups.as_deref());
-    if report.verdict.is_fitted() {
+    if report.verdict.is_usable() {
         let section = NewSection::new("spindle.sensor")
             .with_number("k0_um", model.k0_um)
             .with_number("zero_counts", zero_counts)
@@ -144,9 +144,9 @@ fn fit_elongation_by_temperature(
     let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
     let requested = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
     let column = resolve_temperature_column(rows, requested)?;
-    let temperature_c = rows.required_column(&column)?;
+    let temperature_c = rows.require_column(&column)?;
     let time_s = rows.optional_column("time_s")?;
-    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
+    let mut y = rows.require_column(MEASURED_ELONGATION_COLUMN)?;
     let mut report = FitReport::new("elongation", MEASURED_ELONGATION_COLUMN);
     let complete = |row: usize, y: &[f64]| {
         !y[row].is_nan()
@@ -154,7 +154,7 @@ fn fit_elongation_by_temperature(
             && time_s.as_ref().is_none_or(|time_s| !time_s[row].is_nan())
     };
     let is_used: Vec<bool> = (0..y.len()).map(|row| complete(row, &y)).collect();
-    check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
+    reject_insufficient_input(rows, &column, &temperature_c, &is_used, 4)?;
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
     let found = match &time_s {
         Some(time_s) => {
@@ -163,14 +163,14 @@ fn fit_elongation_by_temperature(
         None => {
             let found =
                 robust::find_regression_outliers(&[&vec![1.0; y.len()], &temperature_c], &y);
-            robust::isolated_outliers(found, &temperature_c, &y)
+            robust::retain_isolated_outliers(found, &temperature_c, &y)
         }
     };
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
+    report.excluded = rows.list_excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     (0..y.len()).filter(|row| !is_used[*row]).for_each(|row| y[row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
+    reject_insufficient_input(rows, &column, &temperature_c, &is_used, 4)?;
 
     let starts = rows.restart_flags(time_s.as_deref());
     let terms = [RegressionTerm::Constant, RegressionTerm::LaggedTemperature];
@@ -199,11 +199,11 @@ fn fit_elongation_by_temperature(
             .zip(&lagged_c)
             .map(|(y, t)| y - trueup_machine::model::temperature_elongation_um(old, *t))
             .collect();
-        report_previous_fit(&mut report, &of_old);
+        add_previous_model_statistics(&mut report, &of_old);
     }
     add_residual_statistics(&mut report, &y, &fitted.residuals, fitted.held_out.clone(), by, wider);
     set_fit_verdict(&mut report, &y, groups.as_deref());
-    if report.verdict.is_fitted() {
+    if report.verdict.is_usable() {
         let section = NewSection::new("spindle.temperature")
             .with_text("sensor", column)
             .with_number("reference_c", reference_c)
@@ -240,7 +240,7 @@ pub(crate) fn resolve_temperature_column(
 }
 
 /// Refuses too few rows, and an input that is the same in every row.
-pub(crate) fn check_input_variation(
+pub(crate) fn reject_insufficient_input(
     rows: &PooledRows<'_>,
     column: &str,
     x: &[f64],
@@ -297,7 +297,7 @@ pub(crate) fn add_residual_statistics(
 }
 
 /// How well the constants of the machine file did on the same rows.
-pub(crate) fn report_previous_fit(report: &mut FitReport, residuals: &[f64]) {
+pub(crate) fn add_previous_model_statistics(report: &mut FitReport, residuals: &[f64]) {
     if let Some(old) = ResidualStatistics::from_residuals(residuals) {
         report.facts.push(FitDetail::number("machine_file_rms_um", old.rms_um));
         report.facts.push(FitDetail::number("machine_file_max_um", old.max_um));
@@ -310,7 +310,7 @@ pub(crate) fn set_fit_verdict(report: &mut FitReport, y: &[f64], groups: Option<
     let mut reasons: Vec<String> = report
         .parameters
         .iter()
-        .filter(|parameter| parameter.includes_zero())
+        .filter(|parameter| parameter.is_insignificant_amplitude())
         .map(|parameter| {
             format!(
                 "{parameter}: 0 is within the interval, so the effect may be none; measure over a larger \

@@ -212,8 +212,8 @@ impl UnidirectionalResults {
         }
         Some(Self {
             repeatability_um: maximum(approaches.iter().map(|approach| approach.repeatability_um)),
-            systematic_um: range(approaches.iter().map(|approach| [approach.mean_um; 2])),
-            accuracy_um: range(approaches.iter().map(ApproachStatistics::two_sigma_limits)),
+            systematic_um: overall_range(approaches.iter().map(|approach| [approach.mean_um; 2])),
+            accuracy_um: overall_range(approaches.iter().map(ApproachStatistics::two_sigma_limits)),
         })
     }
 }
@@ -241,9 +241,9 @@ impl BidirectionalResults {
             reversal_um: maximum(reversals().map(f64::abs)),
             mean_reversal_um: reversals().sum::<f64>() / both.len() as f64,
             repeatability_um: maximum(both.iter().map(|(_, _, both)| both.repeatability_um)),
-            systematic_um: range(approaches().map(|approach| [approach.mean_um; 2])),
-            mean_error_um: range(both.iter().map(|(_, _, both)| [both.mean_um; 2])),
-            accuracy_um: range(approaches().map(ApproachStatistics::two_sigma_limits)),
+            systematic_um: overall_range(approaches().map(|approach| [approach.mean_um; 2])),
+            mean_error_um: overall_range(both.iter().map(|(_, _, both)| [both.mean_um; 2])),
+            accuracy_um: overall_range(approaches().map(ApproachStatistics::two_sigma_limits)),
         })
     }
 }
@@ -253,7 +253,7 @@ fn maximum(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Returns the largest upper end minus the smallest lower end.
-fn range(ends: impl Iterator<Item = [f64; 2]>) -> f64 {
+fn overall_range(ends: impl Iterator<Item = [f64; 2]>) -> f64 {
     let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), ends| {
         (low.min(ends[0]), high.max(ends[1]))
     });

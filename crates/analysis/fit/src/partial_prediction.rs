@@ -89,7 +89,7 @@ pub fn predict_other_sections(
         || own.backlash.is_some()
         || !rest.straightness.is_empty()
         || !rest.squareness.is_empty()
-        || rest.volume.has_errors()
+        || rest.volume.has_geometric_errors()
         || rest.spindle.source.is_some();
     if !is_informative {
         return Ok(None);
@@ -145,7 +145,7 @@ pub(crate) fn restrict_to_available_columns(
 }
 
 /// Returns whether a prediction by `machine` reads the column, but for positions, angles and directions.
-pub(crate) fn is_model_input(machine: &Machine, name: &str) -> bool {
+pub(crate) fn is_non_pose_input(machine: &Machine, name: &str) -> bool {
     let is_pose = LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()))
         || name.ends_with("_deg");
     let usual = ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"];

@@ -61,8 +61,8 @@ use self::{
     cross_validation::{CorrectionModel, DirectionSums, cross_validate},
     grid_selection::choose_table_grid,
     pitch_report::{
-        add_measurement_statistics, add_warnings, interpolation_caveat, rejection_reasons,
-        suggest_measurement, write_pitch_section,
+        add_measurement_statistics, add_pitch_correction, add_warnings, interpolation_caveat,
+        rejection_reasons, suggest_measurement,
     },
     pitch_table::TableGrid,
     readings::{PitchReading, PitchReadings, ReadingSelection, measured_column_name},
@@ -204,7 +204,7 @@ pub fn fit(
         judged.and_then(|judged| ResidualStatistics::from_residuals(&judged.residuals_um));
     report.warnings.extend(interpolation_caveat(&readings, law));
     add_warnings(&mut report, &readings, &iso230);
-    write_pitch_section(&mut report, axis, &readings, &sums, &grid, &fitted);
+    add_pitch_correction(&mut report, axis, &readings, &sums, &grid, &fitted);
     let backlash =
         fitted.width_um.map(|width_um| Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 });
     Ok(PitchFit { report, pitch: fitted.pitch, backlash, iso230 })

@@ -35,7 +35,7 @@ impl<'r> PooledRows<'r> {
     ///
     /// # Errors
     /// A run has no such column, or no row of any has a value in it.
-    pub(crate) fn required_column(&self, name: &str) -> Result<Vec<f64>, InputFileError> {
+    pub(crate) fn require_column(&self, name: &str) -> Result<Vec<f64>, InputFileError> {
         let values = self.concatenated_column(name)?;
         if values.iter().all(|value| value.is_nan()) {
             return Err(self.runs[0].value_error(0, name, "has no value in any row"));
@@ -162,7 +162,7 @@ impl<'r> PooledRows<'r> {
     }
 
     /// Excluded rows, in words.
-    pub(crate) fn excluded_rows(
+    pub(crate) fn list_excluded_rows(
         &self,
         found: &[Outlier],
         y: &[f64],

@@ -89,7 +89,7 @@ impl FitParameter {
 
     /// Returns true where it is an amplitude whose interval includes 0.
     #[must_use]
-    pub(crate) fn includes_zero(&self) -> bool {
+    pub(crate) fn is_insignificant_amplitude(&self) -> bool {
         self.is_amplitude && self.ci95.is_some_and(|[low, high]| low <= 0.0 && 0.0 <= high)
     }
 
@@ -215,7 +215,7 @@ pub enum FitVerdict {
 impl FitVerdict {
     /// Returns whether the constants are fit for use.
     #[must_use]
-    pub fn is_fitted(&self) -> bool {
+    pub fn is_usable(&self) -> bool {
         matches!(self, Self::Fitted)
     }
 }

@@ -300,7 +300,7 @@ impl StraightnessFit {
     fn add_warnings(&mut self) {
         /// A linear axis shorter than that is rather one whose positions are in metres.
         const MIN_PLAUSIBLE_TRAVEL_MM: f64 = 20.0;
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let travel = last - first;
         if travel < MIN_PLAUSIBLE_TRAVEL_MM {
             self.warnings.push(format!(
@@ -346,7 +346,7 @@ fn estimate_noise(sites: &Sites, found: &SelectedSpline) -> (Option<NoiseEstimat
     let fit = fit_least_squares_spline(knots_mm.clone(), *order, sites.points());
     let error = noise.zip(fit).map(|(noise, fit)| {
         const EVALUATION_INTERVALS: u32 = 400;
-        let [first, last] = sites.end_positions();
+        let [first, last] = sites.end_positions_mm();
         let variance = |n: u32| {
             let x = first + (last - first) * f64::from(n) / f64::from(EVALUATION_INTERVALS);
             let (first, weights) = crate::bspline::evaluate_basis(knots_mm, *order, x);

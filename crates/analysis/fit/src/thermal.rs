@@ -42,7 +42,8 @@ use self::{
 };
 use crate::{
     elongation::{
-        add_residual_statistics, check_input_variation, resolve_temperature_column, set_fit_verdict,
+        add_residual_statistics, reject_insufficient_input, resolve_temperature_column,
+        set_fit_verdict,
     },
     lagged_regression::{LaggedFit, LaggedRegression, RegressionTerm},
     pooled_rows::{self, PooledRows},
@@ -94,14 +95,14 @@ pub fn fit(
 ) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
-    let (mut data, mut report) = ThermalData::read(&rows, axis, old, options)?;
+    let (mut data, mut report) = ThermalData::from_rows_with_report(&rows, axis, old, options)?;
     let requested = options.mode.or(old.map(|old| old.mode));
     data.exclude_outliers(&rows, &mut report);
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
-    check_input_variation(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
+    reject_insufficient_input(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
-    let (mode, fitted, mean_c) = data.choose_mode(&rows, requested, groups.as_deref())?;
+    let (mode, fitted, mean_c) = data.choose_and_fit_mode(&rows, requested, groups.as_deref())?;
     let wider = pooled_rows::autocorrelation_inflation_factor(&fitted.residuals);
     report.facts.push(FitDetail::text("mode", mode.name()));
     report.facts.push(FitDetail::text("sensor", data.sensor.clone()));
@@ -115,7 +116,7 @@ pub fn fit(
     }
 
     let law = LinearLaw { mode, fitted: &fitted, mean_c, wider };
-    let mut thermal = law.report_constants(&data, &mut report);
+    let mut thermal = law.derive_and_report_constants(&data, &mut report);
     let levels = thermal_table::temperature_levels_c(&rows, &data);
     if let Some(table) = FittedTable::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
         let is_better =
@@ -174,7 +175,7 @@ pub fn fit(
     add_residual_statistics(&mut report, &data.y, &residuals, held_out, by, wider);
     set_fit_verdict(&mut report, &data.y, groups.as_deref());
     report_inseparable_constants(&mut report, mode, thermal.table.is_some());
-    if report.verdict.is_fitted() {
+    if report.verdict.is_usable() {
         report.edit = MachineFileEdit::from_section(thermal_section(axis, &thermal, &report));
     }
     Ok(report)
@@ -188,29 +189,29 @@ fn fit_piecewise_linear_law(
     groups: Option<&[usize]>,
 ) -> Option<(piecewise_linear::PiecewiseLinearLaw, FittedTable)> {
     let bend = piecewise_linear::find_piecewise_linear_law(data, mode, groups, lines)?;
-    let table = FittedTable::with_knots(data, mode, bend.lag_s, &bend.knots_c)?;
+    let table = FittedTable::fit_with_knots(data, mode, bend.lag_s, &bend.knots_c)?;
     Some((bend, table))
 }
 
 impl ThermalData {
-    fn read(
+    fn from_rows_with_report(
         rows: &PooledRows<'_>,
         axis: LinearAxis,
         old: Option<&ThermalLaw>,
         options: &ThermalFitOptions,
     ) -> Result<(Self, FitReport), InputFileError> {
         let measured = format!("measured_d{}_um", axis.name());
-        let mut y = rows.required_column(&measured)?;
+        let mut y = rows.require_column(&measured)?;
         let requested = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
         let sensor = resolve_temperature_column(rows, requested)?;
-        let temperature_c = rows.required_column(&sensor)?;
+        let temperature_c = rows.require_column(&sensor)?;
         let time_s = rows.optional_column("time_s")?;
         let starts = rows.restart_flags(time_s.as_deref());
         let position = format!("{}_mm", axis.name());
         let requested_mode = options.mode.or(old.map(|old| old.mode));
         let needs_position = requested_mode.is_some_and(ThermalMode::has_position_term);
         let positions = if needs_position {
-            Some(rows.required_column(&position)?)
+            Some(rows.require_column(&position)?)
         } else {
             rows.optional_column(&position)?
         };
@@ -224,7 +225,7 @@ impl ThermalData {
         };
         (0..y.len()).filter(|row| incomplete(*row)).for_each(|row| y[row] = f64::NAN);
         let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-        check_input_variation(rows, &sensor, &temperature_c, &is_used, 4)?;
+        reject_insufficient_input(rows, &sensor, &temperature_c, &is_used, 4)?;
         let origin_mm = old.map_or(0.0, |old| old.origin_mm);
         let mut used = positions.iter().flatten().zip(&is_used).filter(|(_, used)| **used);
         let first = used.next().map(|(position, _)| *position);
@@ -249,7 +250,7 @@ impl ThermalData {
     }
 
     /// Returns the required mode, else the simplest that held-out rows do not clearly disfavour.
-    fn choose_mode(
+    fn choose_and_fit_mode(
         &self,
         rows: &PooledRows<'_>,
         requested: Option<ThermalMode>,
@@ -361,7 +362,11 @@ impl LinearLaw<'_> {
     }
 
     /// Returns the machine file's constants, reported; a table of two rows where one T₀ cannot serve.
-    fn report_constants(&self, data: &ThermalData, report: &mut FitReport) -> ThermalLaw {
+    fn derive_and_report_constants(
+        &self,
+        data: &ThermalData,
+        report: &mut FitReport,
+    ) -> ThermalLaw {
         let c = &self.fitted.coefficients;
         let half = |at: usize| self.wider * self.fitted.coefficient_half_width(at);
         let mut thermal = ThermalLaw {

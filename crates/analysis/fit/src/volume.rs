@@ -50,7 +50,7 @@ use self::{
     error_parameters::ErrorParameters,
     identifiability::{ErrorAssessment, HeldOutResult},
     kinematics::ForwardKinematics,
-    nuisance_parameters::SetupUncertainty,
+    nuisance_parameters::ArtefactUncertainty,
     reading::{Pose, ReadingKind, VolumeReading, dot},
 };
 use crate::report::ExcludedRow;
@@ -118,7 +118,12 @@ pub struct VolumetricModel {
 impl VolumetricModel {
     /// Returns the difference of the errors of two poses in a direction, µm, and its standard deviation.
     #[must_use]
-    pub fn error_difference_um(&mut self, from: &Pose, to: &Pose, toward: [f64; 3]) -> [f64; 2] {
+    pub fn error_difference_with_std_um(
+        &mut self,
+        from: &Pose,
+        to: &Pose,
+        toward: [f64; 3],
+    ) -> [f64; 2] {
         let [from, to] = [from, to].map(|pose| self.constants.tip_sensitivities(pose));
         let row: Vec<f64> =
             to.iter().zip(&from).map(|(to, from)| dot(toward, *to) - dot(toward, *from)).collect();
@@ -146,7 +151,7 @@ pub fn fit(
     };
     let mut warnings = Vec::new();
     let readings = run_reader::read(runs, machine, options.artefact_um.is_some(), &mut warnings)?;
-    let uncertainty = SetupUncertainty {
+    let uncertainty = ArtefactUncertainty {
         scale_um_per_m: options.scale_um_per_m.unwrap_or(PRIOR_SCALE_STD_UM_PER_M),
         artefact_um: options.artefact_um.unwrap_or(0.0),
     };
@@ -154,7 +159,7 @@ pub fn fit(
     let of_file = machine.instrument_um.map(|um| 0.5 * um);
     let noise_um = options.instrument_um.or(of_file).unwrap_or(DEFAULT_READING_NOISE_UM);
     let poses: Vec<Pose> = readings.iter().map(|reading| reading.pose).collect();
-    let points_mm = reference_points(machine, &ForwardKinematics::new(machine, chain), &poses);
+    let points_mm = reference_points_mm(machine, &ForwardKinematics::new(machine, chain), &poses);
     let mut own = machine.clone();
     if let Some(points_mm) = points_mm {
         own.volume.point_mm = points_mm;
@@ -196,9 +201,14 @@ pub fn fit(
     let count = constants.all.len();
     let mean: Vec<f64> = found.mean.iter().take(count).copied().collect();
     let (edit, written) = match held_out.is_better {
-        true => {
-            section_writer::build_edit(machine, &constants, &mean, &known, points_mm, &mut warnings)
-        }
+        true => section_writer::build_machine_file_edit(
+            machine,
+            &constants,
+            &mean,
+            &known,
+            points_mm,
+            &mut warnings,
+        ),
         false => (MachineFileEdit::default(), Vec::new()),
     };
     let kinds = |kind: ReadingKind| used.iter().filter(|reading| reading.kind == kind).count();
@@ -218,7 +228,7 @@ pub fn fit(
 }
 
 /// Returns where straightness is to be stated: in the middle of what was measured. `None` where the file has angles or points.
-fn reference_points(
+fn reference_points_mm(
     machine: &Machine,
     frame: &ForwardKinematics<'_>,
     poses: &[Pose],

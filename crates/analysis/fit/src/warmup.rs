@@ -34,8 +34,9 @@ use trueup_numerics::{
 use self::warmup_model::{FreeParameters, WarmupModel, WarmupRecord};
 use crate::{
     elongation::{
-        MEASURED_ELONGATION_COLUMN, add_residual_statistics, check_input_variation,
-        report_previous_fit, section_comment, set_fit_verdict, warn_elongation_source_mismatch,
+        MEASURED_ELONGATION_COLUMN, add_previous_model_statistics, add_residual_statistics,
+        reject_insufficient_input, section_comment, set_fit_verdict,
+        warn_elongation_source_mismatch,
     },
     lagged_regression,
     pooled_rows::{self, PooledRows},
@@ -59,9 +60,9 @@ pub fn fit(
 ) -> Result<FitReport, InputFileError> {
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.spindle.warmup.as_ref());
-    let time_s = rows.required_column("time_s")?;
+    let time_s = rows.require_column("time_s")?;
     let spindle_rpm = rows.optional_column("spindle_rpm")?;
-    let mut y = rows.required_column(MEASURED_ELONGATION_COLUMN)?;
+    let mut y = rows.require_column(MEASURED_ELONGATION_COLUMN)?;
     let starts = rows.restart_flags(Some(&time_s));
     let mut report = FitReport::new("warmup", MEASURED_ELONGATION_COLUMN);
     let is_complete = |row: usize| {
@@ -70,10 +71,10 @@ pub fn fit(
     (0..y.len()).filter(|row| !is_complete(*row)).for_each(|row| y[row] = f64::NAN);
     report.rows_incomplete = y.iter().filter(|y| y.is_nan()).count();
     let found = lagged_regression::find_outliers(&time_s, &starts, &y);
-    report.excluded = rows.excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
+    report.excluded = rows.list_excluded_rows(&found, &y, MEASURED_ELONGATION_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    check_input_variation(&rows, "time_s", &time_s, &is_used, 8)?;
+    reject_insufficient_input(&rows, "time_s", &time_s, &is_used, 8)?;
 
     let speeds = distinct_speeds_rpm(spindle_rpm.as_deref(), &y);
     if spindle_rpm.is_some() && speeds.is_empty() {
@@ -117,12 +118,12 @@ pub fn fit(
     });
     let model = report_constants(&mut report, &shape, &fit, &span, wider);
     if let Some(old) = old {
-        report_previous_fit(&mut report, &previous_model_residuals(&record, old, &y));
+        add_previous_model_statistics(&mut report, &previous_model_residuals(&record, old, &y));
     }
-    report_parameters_by_run(&mut report, &rows, &record, &y);
+    fit_and_report_each_run(&mut report, &rows, &record, &y);
     add_residual_statistics(&mut report, &y, &fit.residuals, held_out, by, wider);
     set_fit_verdict(&mut report, &y, groups.as_deref());
-    if report.verdict.is_fitted() {
+    if report.verdict.is_usable() {
         report.edit = MachineFileEdit::from_section(warmup_section(&model, &report));
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("warmup".into())));
         warn_elongation_source_mismatch(&mut report, machine, ElongationSource::Warmup);
@@ -356,7 +357,7 @@ fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) 
 }
 
 /// t₁, t₂ and Smax of each run alone, where there are several.
-fn report_parameters_by_run(
+fn fit_and_report_each_run(
     report: &mut FitReport,
     rows: &PooledRows<'_>,
     record: &WarmupRecord<'_>,

@@ -48,14 +48,14 @@ pub(crate) fn min_zero_step_um(scatter_um: f64) -> f64 {
 const MIN_EVENT_PREDICTION_SIGMAS: f64 = 4.0;
 /// The prediction's usual uncertainty, as a share of the scatter that contains it: where a constant may go anywhere in a month,
 /// two readings a day leave this much.
-const TYPICAL_UNCERTAINTY_RATIO: f64 = 0.5;
+const UNCERTAINTY_TO_SCATTER_RATIO: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
 const MIN_EVENT_READINGS: usize = 3;
 /// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
 const MIN_AGREEMENT_LOG_LIKELIHOOD_RATIO: f64 = 0.7;
 const MIN_SCATTER_READINGS: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
-const SCATTER_FACTORS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
+const SCATTER_INCREASE_FACTORS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
 /// The least share of a scatter's evidence in each half of the readings: a half of the half that it has on average.
 const MIN_EVIDENCE_FRACTION_PER_HALF: f64 = 0.25;
 /// By this factor at most the scatter of most readings may be below that of all: of twelve it is known to a third.
@@ -221,7 +221,7 @@ fn compute_residuals(rows: &[DetectionRow<'_>], before: &PriorBelief) -> Predict
         |row: &DetectionRow<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
     let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
     let scatter_um = before.scatter_um[0];
-    let more = (unknown_um.powi(2) - (TYPICAL_UNCERTAINTY_RATIO * scatter_um).powi(2)).max(0.0);
+    let more = (unknown_um.powi(2) - (UNCERTAINTY_TO_SCATTER_RATIO * scatter_um).powi(2)).max(0.0);
     PredictionResiduals { e, unknown_um, sigma: scatter_um.hypot(more.sqrt()) }
 }
 
@@ -314,7 +314,7 @@ fn fit_scatter_increase(e: &[f64], sigma: f64) -> Option<FittedAlternative> {
         let each = e.iter().map(|e| e - level);
         each.map(|e| log_likelihood(e, s * sigma) - log_likelihood(e, sigma)).sum()
     };
-    let all = SCATTER_FACTORS.into_iter().map(|s| (s, gain(e, s)));
+    let all = SCATTER_INCREASE_FACTORS.into_iter().map(|s| (s, gain(e, s)));
     let (size, all) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     let (first, last) = e.split_at(e.len() / 2);
     if [first, last].iter().any(|half| gain(half, size) < MIN_EVIDENCE_FRACTION_PER_HALF * all) {

@@ -1,6 +1,6 @@
 //! After each reading: whether something has happened, from the readings so far only.
 //!
-//! An event is searched for over the last [`LOOKBACK_READINGS`] readings. It stays open until it is named and [`CLASSIFICATION_READINGS`] readings old, or
+//! An event is searched for over the last [`LOOKBACK_READINGS`] readings. It stays open until it is named and [`MIN_CLASSIFICATION_READINGS`] readings old, or
 //! [`MAX_OPEN_EVENT_READINGS`] readings old: as long its name and size follow the readings. Where bad readings have moved the estimate, the good ones
 //! after them look like an event: the belief before them predicts these, and there is none. The effect of an event on
 //! the estimate is computed anew from its first reading on whenever that changes.
@@ -26,7 +26,7 @@ const MIN_SETTLED_READINGS: u64 = 40;
 /// A step that the readings do not name acts from this many times the smallest one on: the estimate follows a smaller one.
 const UNCLASSIFIED_STEP_FACTOR: f64 = 4.0 / 3.0;
 /// Readings after an event from which on its name and size stay: named, and in any case (more than ten shifts of two).
-const CLASSIFICATION_READINGS: usize = 12;
+const MIN_CLASSIFICATION_READINGS: usize = 12;
 const MAX_OPEN_EVENT_READINGS: usize = 24;
 /// A step of the zero is the simpler explanation: a constant that is not distinguished from it has to be as much likelier, in
 /// ln of the odds, for the constant to follow.
@@ -88,7 +88,7 @@ fn update_open_event(memory: &mut LearnerState, believed: &mut FilterHistory, pl
     let mut event = event_from_finding(memory, &finding, index, finding.scatter_um);
     let old = &memory.events[place];
     event.certain_at = old.certain_at;
-    event.is_open = event.event == EventKind::Unknown || end - index < CLASSIFICATION_READINGS;
+    event.is_open = event.event == EventKind::Unknown || end - index < MIN_CLASSIFICATION_READINGS;
     let is_same = event.action == old.action;
     memory.events[place] = event;
     if !is_same {

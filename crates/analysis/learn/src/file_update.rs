@@ -4,14 +4,14 @@ use trueup_machine::{Machine, MachineFile, machine_file::Quantity};
 
 use crate::{
     learnable_constants::{self, LearnableConstant},
-    learner_state::{LearnerState, MachineIdentity},
+    learner_state::{DailyChange, LearnerState, MachineIdentity},
 };
 
 /// A constant that has moved by less than this share of itself is written as it was.
 pub(crate) const MIN_RELATIVE_CHANGE: f64 = 1e-3;
 
 /// Returns the numbers of the machine file with what is applied: of the zero, of each constant.
-pub(crate) fn applied_values(
+pub(crate) fn applied_file_values(
     memory: &LearnerState,
     machine: &Machine,
     quantity: Quantity,
@@ -60,7 +60,7 @@ pub(crate) fn apply_values_to_source(
     quantity: Quantity,
     memory: &LearnerState,
 ) -> Option<String> {
-    let all = applied_values(memory, machine, quantity);
+    let all = applied_file_values(memory, machine, quantity);
     let constants = memory.constants.iter().zip(&all[1..]);
     let mut changed: Vec<(String, f64)> = constants
         .filter(|(constant, value)| constant.believed != **value)
@@ -74,6 +74,40 @@ pub(crate) fn apply_values_to_source(
     learnable_constants::replace_constants(source, &changed)
 }
 
+/// Lists the change that a reading made; those of one day are one.
+pub(crate) fn record_daily_change(
+    memory: &mut LearnerState,
+    machine: &Machine,
+    quantity: Quantity,
+    from: &[f64],
+    before: (u64, Vec<f64>),
+) {
+    let to = applied_file_values(memory, machine, quantity);
+    if to == from {
+        return;
+    }
+    let day = |s: f64| (s / 86_400.0).floor();
+    let at = memory.last_s;
+    let is_today = |change: &DailyChange| {
+        change.before.is_some() && change.at.zip(at).is_some_and(|(one, two)| day(one) == day(two))
+    };
+    let today = memory.changes.pop_if(|change| is_today(change));
+    let began = |place: usize| {
+        let values = today.as_ref().map(|change| &change.values);
+        let value =
+            values.and_then(|values| values.iter().find(|(candidate, ..)| *candidate == place));
+        value.map_or(from[place], |(_, from, _)| *from)
+    };
+    let values: Vec<(usize, f64, f64)> = (0..to.len())
+        .map(|place| (place, began(place), to[place]))
+        .filter(|(_, from, to)| from != to)
+        .collect();
+    if !values.is_empty() {
+        let before = today.and_then(|change| change.before).or(Some(before));
+        memory.record_change(DailyChange { at, values, is_undo: false, before });
+    }
+}
+
 /// Six digits: a hundredth of what any of them is known to.
 fn round_to_six_digits(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
@@ -85,7 +119,7 @@ impl LearnerState {
     #[must_use]
     pub fn apply_to_source(&self, source: &str, path: &std::path::Path) -> Option<String> {
         let machine = MachineFile::parse(source, path).ok()?;
-        let quantity = learnable_constants::quantity_by_name(&self.quantity)?;
+        let quantity = learnable_constants::learnable_quantity_by_name(&self.quantity)?;
         let owner = MachineIdentity::from_machine(&machine);
         let constants =
             learnable_constants::learnable_constants(&machine, quantity, self.air.as_deref());

@@ -88,7 +88,7 @@ impl FilterBank {
     }
 
     /// Returns what is believed of the zero (in µm) and of the shares of the constants; `None`: the original file.
-    pub(crate) fn learned_values(&self) -> Option<Vec<f64>> {
+    pub(crate) fn learned_values_if_applied(&self) -> Option<Vec<f64>> {
         self.is_applied.then(|| self.learned.persistent_values())
     }
 
@@ -143,7 +143,7 @@ impl FilterBank {
 
     /// Returns how many used readings they are compared by, and by how much the original file and what was learned have
     /// missed them, mean magnitude in µm.
-    pub(crate) fn mean_absolute_errors(&self) -> (usize, f64, f64) {
+    pub(crate) fn mean_absolute_errors_um(&self) -> (usize, f64, f64) {
         let count = self.missed_um.len();
         let mean = |index: usize| {
             self.missed_um.iter().map(|missed| missed[index]).sum::<f64>() / count.max(1) as f64

@@ -205,7 +205,7 @@ pub(crate) fn replace_constants(source: &str, changed: &[(String, f64)]) -> Opti
     }
     let own: DocumentMut = source.parse().ok()?;
     for (key, number) in rises {
-        TemperatureRise::from_key(key)?.write_terms(&own, &mut document, number - 1.0)?;
+        TemperatureRise::from_key(key)?.add_terms(&own, &mut document, number - 1.0)?;
     }
     Some(document.to_string())
 }
@@ -258,7 +258,7 @@ pub(crate) fn zero_location(
 }
 
 /// The prediction by the file's own constants, and the addition to it by each that is twice as large, in µm.
-pub(crate) struct Sensitivity {
+pub(crate) struct PredictionSensitivities {
     /// By row; NaN where the row does not say enough.
     pub believed_um: Vec<f64>,
     /// By row: 1 for the zero, then one for each constant.
@@ -275,7 +275,7 @@ const DEFAULT_AIR_TEMPERATURE_C: f64 = 20.0;
 /// The share by which a thermometer is altered to see what depends on it.
 const RELATIVE_PERTURBATION: f64 = 0.1;
 
-impl Sensitivity {
+impl PredictionSensitivities {
     /// Of `run` by the machine file `source`, to which the shares `applied` are applied.
     ///
     /// # Errors
@@ -374,7 +374,7 @@ pub(crate) fn resolve_quantity(
 }
 
 /// Returns the name of an axis's quantity, or the elongation.
-pub(crate) fn quantity_by_name(name: &str) -> Option<Quantity> {
+pub(crate) fn learnable_quantity_by_name(name: &str) -> Option<Quantity> {
     let axes = LinearAxis::ALL.len();
     Quantity::ALL.into_iter().take(axes + 1).find(|quantity| quantity.name() == name)
 }

@@ -15,14 +15,16 @@ use trueup_machine::{
 use crate::{
     event::{DetectedEvent, EventAction, format_timestamp},
     event_monitor::detect_events,
-    file_update::{MIN_RELATIVE_CHANGE, applied_values, apply_values_to_source},
+    file_update::{
+        MIN_RELATIVE_CHANGE, applied_file_values, apply_values_to_source, record_daily_change,
+    },
     filter_history::{FilterHistory, corrected_reading_um},
-    learnable_constants::{self, Sensitivity},
+    learnable_constants::{self, PredictionSensitivities},
     learner_notes::{describe_applied_model, describe_reached_bound},
-    learner_state::{DailyChange, LearnerState, StoredReading, format_hash},
+    learner_state::{LearnerState, StoredReading, format_truncated_hash},
     learning_limits::{LearningLimits, prediction_change_um},
     probe_checks,
-    readings::{self, GaugeReading, MAX_RELATIVE_START_S},
+    readings::{self, MAX_RELATIVE_START_S, ReferenceReading},
     rls_filter::FilterOutcome,
     state_reconciliation::reconcile_state,
     temperature_rise, wear,
@@ -30,7 +32,7 @@ use crate::{
 
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
-const MAX_UNAMBIGUOUS_CHANGE: f64 = 0.4;
+const MAX_UNAMBIGUOUS_RELATIVE_CHANGE: f64 = 0.4;
 /// A clock that was set back by at most this, in s, may be local time.
 const MAX_CLOCK_SET_BACK_S: f64 = 3600.0;
 const CLOCK_SET_BACK_NOTE: &str = ". If the clock was set back by an hour (the end of summer time), write each time with its offset \
@@ -110,12 +112,16 @@ pub fn learn_from_run(
     let has_bridge = has_engaged_bridge(&run, &ran, quantity)?;
     let record = readings::collect_readings(&run, quantity)?;
     let (new, seen) = select_unseen_readings(&record, &memory, &run, &mut notes)?;
-    let sensitivity =
-        Sensitivity::from_run(source, (&memory.constants, &memory.applied), &run, quantity)?;
+    let sensitivity = PredictionSensitivities::from_run(
+        source,
+        (&memory.constants, &memory.applied),
+        &run,
+        quantity,
+    )?;
     let old = memory.events.clone();
     let mut learner = Learner {
         believed: FilterHistory::from_state(&memory),
-        columns: map_thermometer_columns(&mut memory, &sensitivity),
+        columns: register_thermometer_columns(&mut memory, &sensitivity),
         memory,
         machine: &machine,
         quantity,
@@ -179,21 +185,22 @@ pub fn learn_from_run(
 /// # Errors
 /// One that was not lies at or before the last clock.
 fn select_unseen_readings(
-    record: &[GaugeReading],
+    record: &[ReferenceReading],
     memory: &LearnerState,
     run: &RunFile,
     notes: &mut Vec<String>,
-) -> Result<(Vec<GaugeReading>, usize), InputFileError> {
+) -> Result<(Vec<ReferenceReading>, usize), InputFileError> {
     let (seen, before) = (memory.seen_hashes(), memory.legacy_seen_hashes());
-    let is_seen = |reading: &GaugeReading| {
+    let is_seen = |reading: &ReferenceReading| {
         let may_be = match (reading.time_s, memory.last_s) {
             (Some(time_s), Some(last_s)) => time_s <= last_s,
             _ => true,
         };
-        let is_in = |all: &HashSet<&str>, hash: u64| all.contains(format_hash(hash).as_str());
+        let is_in =
+            |all: &HashSet<&str>, hash: u64| all.contains(format_truncated_hash(hash).as_str());
         may_be && (is_in(&seen, reading.identity) || is_in(&before, reading.identity_before))
     };
-    let new: Vec<GaugeReading> =
+    let new: Vec<ReferenceReading> =
         record.iter().filter(|reading| !is_seen(reading)).copied().collect();
     let known = record.len() - new.len();
     if known > 0 {
@@ -226,7 +233,10 @@ fn select_unseen_readings(
 }
 
 /// Returns the place in the state's thermometers of each one of the record; new ones are added.
-fn map_thermometer_columns(memory: &mut LearnerState, sensitivity: &Sensitivity) -> Vec<usize> {
+fn register_thermometer_columns(
+    memory: &mut LearnerState,
+    sensitivity: &PredictionSensitivities,
+) -> Vec<usize> {
     let places = sensitivity.thermometers.iter().map(|name| {
         let place = memory.thermometers.iter().position(|thermometer| thermometer == name);
         place.unwrap_or_else(|| {
@@ -292,7 +302,7 @@ struct Learner<'a> {
     believed: FilterHistory,
     machine: &'a Machine,
     quantity: Quantity,
-    sensitivity: &'a Sensitivity,
+    sensitivity: &'a PredictionSensitivities,
     /// The place in the state of each thermometer of the record.
     columns: Vec<usize>,
     limits: &'a LearningLimits,
@@ -305,14 +315,19 @@ struct Learner<'a> {
 impl Learner<'_> {
     /// Takes a check of the probe.
     fn record_probe_check(&mut self, time_s: Option<f64>, um: f64) {
-        probe_checks::add_check(&mut self.memory, time_s, um, self.believed.bank.scatter_um()[0]);
+        probe_checks::add_check_and_detect_drift(
+            &mut self.memory,
+            time_s,
+            um,
+            self.believed.bank.scatter_um()[0],
+        );
         self.believed = FilterHistory::from_state(&self.memory);
     }
 
     /// Takes one reading: what became of it, and what held it.
     fn learn_from_reading(
         &mut self,
-        reading: &GaugeReading,
+        reading: &ReferenceReading,
         um: f64,
         is_factor_known: bool,
     ) -> (ReadingOutcome, HoldReasons) {
@@ -335,22 +350,19 @@ impl Learner<'_> {
         for (place, um) in self.columns.iter().zip(&self.sensitivity.shares_um) {
             h[*place] = um[reading.row];
         }
-        let rounded = |um: &f64| (um / READING_RESOLUTION_UM).round() * READING_RESOLUTION_UM;
-        let short = |um: &f64| {
-            let um = if um.is_finite() { rounded(um) } else { 0.0 };
-            format!("{um:.4}").parse().unwrap_or(um)
-        };
         let stored = StoredReading {
             t: reading.time_s,
-            y: short(&(um - file_um)),
-            g: g.iter().map(short).collect(),
-            h: h.iter().map(short).collect(),
+            y: round_to_stored_um(&(um - file_um)),
+            g: g.iter().map(round_to_stored_um).collect(),
+            h: h.iter().map(round_to_stored_um).collect(),
             worn: Vec::new(),
         };
         let g = &stored.g.clone();
         taken.predicted_um = Some(file_um + prediction_change_um(g, &memory.applied));
-        let (sequence, values) =
-            (memory.next_sequence_number(), applied_values(memory, self.machine, self.quantity));
+        let (sequence, values) = (
+            memory.next_sequence_number(),
+            applied_file_values(memory, self.machine, self.quantity),
+        );
         let was_applied = memory.applied.clone();
         memory.first_s = memory.first_s.or(reading.time_s);
         memory.last_s = reading.time_s.or(memory.last_s);
@@ -384,13 +396,14 @@ impl Learner<'_> {
                 missed_um,
                 scatter_um,
             );
-            memory.window[last].worn = observations.iter().map(short).collect();
+            memory.window[last].worn = observations.iter().map(round_to_stored_um).collect();
         }
         let before = memory.events.clone();
         detect_events(memory, &mut self.believed);
         let rests_on = supporting_reading_count(memory, &before);
         wear::detect_wear(memory, self.believed.bank.scatter_um()[1]);
-        let requested = self.believed.bank.learned_values().unwrap_or_else(|| vec![0.0; g.len()]);
+        let requested =
+            self.believed.bank.learned_values_if_applied().unwrap_or_else(|| vec![0.0; g.len()]);
         self.track_sensitivity_extremes(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);
         let (requested, is_bound) = self.limits.clamp_to_limits(&requested, rows);
@@ -407,7 +420,7 @@ impl Learner<'_> {
                 self.limits.step_toward_target(&memory.applied, &requested, g, rests_on);
         }
         self.believed.trim_window(memory);
-        record_change(memory, self.machine, self.quantity, &values, (sequence, was_applied));
+        record_daily_change(memory, self.machine, self.quantity, &values, (sequence, was_applied));
         (taken, HoldReasons { is_bound, forbids })
     }
 
@@ -450,6 +463,13 @@ fn supporting_reading_count(memory: &LearnerState, before: &[DetectedEvent]) -> 
         .max(1)
 }
 
+/// Rounds a value in µm as it is stored; 0 where it is none.
+fn round_to_stored_um(um: &f64) -> f64 {
+    let um = if um.is_finite() { *um } else { 0.0 };
+    let rounded = (um / READING_RESOLUTION_UM).round() * READING_RESOLUTION_UM;
+    format!("{rounded:.4}").parse().unwrap_or(rounded)
+}
+
 /// Returns why `target` may not be applied, in a sentence.
 fn rejection_reason(
     memory: &LearnerState,
@@ -457,42 +477,8 @@ fn rejection_reason(
     is_factor_known: bool,
 ) -> Option<String> {
     let moves = |(to, from): (&f64, &f64)| (to - from).abs() > MIN_RELATIVE_CHANGE;
-    let is_as_a_cnc = target[1..].iter().any(|share| share.abs() > MAX_UNAMBIGUOUS_CHANGE);
+    let is_as_a_cnc = target[1..].iter().any(|share| share.abs() > MAX_UNAMBIGUOUS_RELATIVE_CHANGE);
     let is_moved = target.iter().zip(&memory.applied).any(moves);
     (is_moved && is_as_a_cnc && !is_factor_known)
         .then(|| format!("Nothing is applied. {}", repeat_run_instruction()))
-}
-
-/// Lists the change that a reading made; those of one day are one.
-fn record_change(
-    memory: &mut LearnerState,
-    machine: &Machine,
-    quantity: Quantity,
-    from: &[f64],
-    before: (u64, Vec<f64>),
-) {
-    let to = applied_values(memory, machine, quantity);
-    if to == from {
-        return;
-    }
-    let day = |s: f64| (s / 86_400.0).floor();
-    let at = memory.last_s;
-    let is_today = |change: &DailyChange| {
-        change.before.is_some() && change.at.zip(at).is_some_and(|(one, two)| day(one) == day(two))
-    };
-    let today = memory.changes.pop_if(|change| is_today(change));
-    let began = |place: usize| {
-        let values = today.as_ref().map(|change| &change.values);
-        let value =
-            values.and_then(|values| values.iter().find(|(candidate, ..)| *candidate == place));
-        value.map_or(from[place], |(_, from, _)| *from)
-    };
-    let values: Vec<(usize, f64, f64)> = (0..to.len())
-        .map(|place| (place, began(place), to[place]))
-        .filter(|(_, from, to)| from != to)
-        .collect();
-    if !values.is_empty() {
-        let before = today.and_then(|change| change.before).or(Some(before));
-        memory.record_change(DailyChange { at, values, is_undo: false, before });
-    }
 }

@@ -8,7 +8,7 @@ use crate::{
 /// Returns which of the two is believed, in a sentence.
 pub(crate) fn describe_applied_model(believed: &FilterHistory) -> String {
     let bank = &believed.bank;
-    let (count, file_um, own_um) = bank.mean_absolute_errors();
+    let (count, file_um, own_um) = bank.mean_absolute_errors_um();
     let figures = match count {
         0 => "no reading has been used yet".into(),
         _ => format!(
@@ -16,7 +16,7 @@ pub(crate) fn describe_applied_model(believed: &FilterHistory) -> String {
         ),
     };
     let odds = bank.likelihood_ratio();
-    match bank.learned_values() {
+    match bank.learned_values_if_applied() {
         Some(_) => format!("What was learned is applied: {figures}."),
         None => format!(
             "The current machine file stays: {figures}; they are {odds:.0} times likelier by what was learned, and \

@@ -202,7 +202,7 @@ impl LearnerState {
             serde_json::from_str(text).map_err(|error| error.to_string())?;
         let memory: Self = match schema {
             SCHEMA_VERSION => serde_json::from_str(text).map_err(|error| error.to_string())?,
-            PREVIOUS_SCHEMA_VERSION => read_previous_schema_state(text)?,
+            PREVIOUS_SCHEMA_VERSION => parse_legacy_state(text)?,
             other => {
                 return Err(format!(
                     "schema is {other}, and this version reads {SCHEMA_VERSION}: --reset begins anew and keeps a backup"
@@ -315,7 +315,7 @@ impl LearnerState {
 
     /// Remembers that a reading was learned from.
     pub(crate) fn mark_seen(&mut self, identity: u64) {
-        self.seen += &format_hash(identity);
+        self.seen += &format_truncated_hash(identity);
         if self.seen.len() > MAX_SEEN_READINGS * HASH_DIGIT_COUNT {
             self.seen.drain(..HASH_DIGIT_COUNT);
         }
@@ -337,7 +337,7 @@ struct LegacyLearnerState {
 }
 
 /// Reads the form before this one; nothing of it is lost but the way back, which stays in the backup. Its owner has no name yet: the old form did not say whose it was.
-fn read_previous_schema_state(text: &str) -> Result<LearnerState, String> {
+fn parse_legacy_state(text: &str) -> Result<LearnerState, String> {
     let old: LegacyLearnerState = serde_json::from_str(text).map_err(|error| error.to_string())?;
     let machine = MachineIdentity { name: String::new(), serial: None };
     Ok(LearnerState {
@@ -346,7 +346,7 @@ fn read_previous_schema_state(text: &str) -> Result<LearnerState, String> {
         is_applied_once: old.is_applied_once,
         checkpoint_s: old.last_s,
         first: old.readings.len() as u64,
-        seen_before: old.readings.iter().map(|hash| format_hash(*hash)).collect(),
+        seen_before: old.readings.iter().map(|hash| format_truncated_hash(*hash)).collect(),
         ..LearnerState::new(machine, old.quantity, old.constants, old.bank)
     })
 }
@@ -358,7 +358,7 @@ fn split_hashes(all: &str) -> HashSet<&str> {
 }
 
 /// Returns the lower half of a hash, in hexadecimal digits.
-pub(crate) fn format_hash(hash: u64) -> String {
+pub(crate) fn format_truncated_hash(hash: u64) -> String {
     format!("{:08x}", hash & 0xffff_ffff)
 }
 

@@ -1,7 +1,7 @@
 //! The parts of a learned machine file that a bridge can take while it runs on the user's own, and those that need
 //! a new calibration, at rest.
 //!
-//! A bridge takes five numbers while it runs ([`trueup_core::learned`]): a share of the growth and of each
+//! A bridge takes five numbers while it runs ([`trueup_core::learned_changes`]): a share of the growth and of each
 //! axis's expansion, and the zero of the growth. By the sources of the growth, with a' for what was learned:
 //!
 //! | source | share | zero |
@@ -13,7 +13,7 @@
 //! An axis has one share: where its constant and its slope have changed by different ones, where a backlash, a
 //! table or the amplitude of a term has changed, the bridge cannot have it before the file is loaded.
 
-use trueup_core::learned::{LEARNED_PART_COUNT, LearnedLimits};
+use trueup_core::learned_changes::{LEARNED_PART_COUNT, LearnedLimits};
 use trueup_machine::{
     InputFileError, Machine, compile,
     decompile::calibration_changes::describe_changes,
@@ -51,12 +51,12 @@ impl LiveUpdate {
         let mut sent = runs.clone();
         let mut live = Self::default();
         let [share, zero_um] = apply_growth_difference(&mut sent, learned);
-        live.request_units(0, share * UNITS_PER_FRACTION, runs);
+        live.set_amount_within_limit(0, share * UNITS_PER_FRACTION, runs);
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             let share = apply_expansion_difference(&mut sent, learned, axis);
-            live.request_units(place + 1, share * UNITS_PER_FRACTION, runs);
+            live.set_amount_within_limit(place + 1, share * UNITS_PER_FRACTION, runs);
         }
-        live.request_units(LEARNED_PART_COUNT - 1, zero_um * ZERO_UNITS_PER_UM, runs);
+        live.set_amount_within_limit(LEARNED_PART_COUNT - 1, zero_um * ZERO_UNITS_PER_UM, runs);
         // Caps do not make a correction.
         sent.limits.learned = learned.limits.learned;
         let [sent, learned] = [compile(&sent)?, compile(learned)?];
@@ -68,7 +68,7 @@ impl LiveUpdate {
     }
 
     /// Requests this many units of a part, as far as its cap permits.
-    fn request_units(&mut self, part: usize, units: f64, runs: &Machine) {
+    fn set_amount_within_limit(&mut self, part: usize, units: f64, runs: &Machine) {
         let most = f64::from(to_board_limits(runs.limits.learned).max_change(part));
         let units = units.round();
         let held = units.clamp(-most, most);

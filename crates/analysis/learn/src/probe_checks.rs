@@ -14,7 +14,12 @@ const MIN_DRIFT_CHECKS: usize = 4;
 const MIN_DRIFT_T_VALUE: f64 = 5.0;
 
 /// Adds a check; readings are corrected linearly between checks from then on.
-pub(crate) fn add_check(memory: &mut LearnerState, time_s: Option<f64>, um: f64, scatter_um: f64) {
+pub(crate) fn add_check_and_detect_drift(
+    memory: &mut LearnerState,
+    time_s: Option<f64>,
+    um: f64,
+    scatter_um: f64,
+) {
     memory.checks.push([time_s.or(memory.last_s).unwrap_or(0.0), um]);
     memory.first_s = memory.first_s.or(time_s);
     memory.last_s = time_s.or(memory.last_s);

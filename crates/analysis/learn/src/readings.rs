@@ -5,14 +5,14 @@ use trueup_machine::{InputFileError, RunFile, machine_file::Quantity};
 use crate::learner_state::fnv1a_64;
 
 /// From the end of one record to the beginning of the next where the clock begins anew, in s: a day.
-const RECORD_GAP_S: f64 = 86_400.0;
+const ASSUMED_RECORD_GAP_S: f64 = 86_400.0;
 
 /// A clock from here on is seconds of Unix, of the year 2001 or later.
 const MIN_UNIX_TIME_S: f64 = 1e9;
 
 /// One reading.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct GaugeReading {
+pub(crate) struct ReferenceReading {
     /// The row in the record, from 0.
     pub row: usize,
     /// The reading in µm, where the row has one.
@@ -35,7 +35,7 @@ pub(crate) struct GaugeReading {
 pub(crate) fn collect_readings(
     run: &RunFile,
     quantity: Quantity,
-) -> Result<Vec<GaugeReading>, InputFileError> {
+) -> Result<Vec<ReferenceReading>, InputFileError> {
     let name = format!("measured_{}_um", quantity.name());
     let (times, checks) = (run.column("time_s"), run.column("check_um"));
     let whole = |row: usize, time_s: Option<f64>| {
@@ -47,7 +47,7 @@ pub(crate) fn collect_readings(
         fnv1a_64(number.to_le_bytes().into_iter().chain(columns))
     };
     let rows = run.require_column(&name)?.iter().enumerate();
-    let all: Vec<GaugeReading> = rows
+    let all: Vec<ReferenceReading> = rows
         .filter_map(|(row, &um)| {
             let um = Some(um).filter(|um| um.is_finite());
             let check_um = checks.map(|check| check[row]).filter(|um| um.is_finite());
@@ -57,7 +57,8 @@ pub(crate) fn collect_readings(
             let time_s = times.map(|times| times[row]).filter(|time_s| time_s.is_finite());
             // Dates keep the time between records; to a millisecond, as clocks are.
             let date_s = |time_s: f64, epoch_s: f64| ((epoch_s + time_s) * 1e3).round() / 1e3;
-            let time_s = time_s.map(|s| run.epoch_s().map_or(s, |epoch_s| date_s(s, epoch_s)));
+            let time_s =
+                time_s.map(|s| run.time_origin_unix_s().map_or(s, |epoch_s| date_s(s, epoch_s)));
             let identity_before = whole(row, time_s);
             let identity = match time_s {
                 Some(time_s) => {
@@ -68,7 +69,7 @@ pub(crate) fn collect_readings(
                 }
                 None => identity_before,
             };
-            GaugeReading { row, um, check_um, time_s, identity, identity_before }
+            ReferenceReading { row, um, check_um, time_s, identity, identity_before }
         })
         .collect();
     if all.is_empty() {
@@ -89,10 +90,10 @@ pub(crate) fn elapsed_s(before_s: Option<f64>, now_s: Option<f64>) -> f64 {
     match (before_s, now_s) {
         // Records with dates after records without.
         (Some(before_s), Some(now_s)) if before_s < MIN_UNIX_TIME_S && now_s >= MIN_UNIX_TIME_S => {
-            RECORD_GAP_S
+            ASSUMED_RECORD_GAP_S
         }
         (Some(before_s), Some(now_s)) if now_s >= before_s => now_s - before_s,
         (None, Some(_)) => 0.0,
-        _ => RECORD_GAP_S,
+        _ => ASSUMED_RECORD_GAP_S,
     }
 }

@@ -131,7 +131,7 @@ impl RlsFilter {
 
     /// Returns how likely it thought `y_um` to be where the sensitivities are `g`: the density, by the micrometre.
     pub fn likelihood(&self, g: &[f64], y_um: f64) -> f64 {
-        let g = append_drift_regressor(g);
+        let g = with_drift_regressor(g);
         let s = self.prediction_variance(&g) + self.noise_um.powi(2);
         let off_um = y_um - self.predict(&g);
         let good = (-0.5 * off_um * off_um / s).exp() / (TAU * s).sqrt();
@@ -257,7 +257,7 @@ impl RlsFilter {
 
     /// Takes `y_um` where the sensitivities are `g`, or refuses it.
     pub(crate) fn process_reading(&mut self, g: &[f64], y_um: f64) -> FilterOutcome {
-        let g = &append_drift_regressor(g);
+        let g = &with_drift_regressor(g);
         let off_um = y_um - self.predict(g);
         let deviations = off_um / (self.prediction_variance(g) + self.noise_um.powi(2)).sqrt();
         let is_refused = deviations.abs() > REJECTION_THRESHOLD_SIGMAS;
@@ -332,7 +332,7 @@ impl RlsFilter {
 }
 
 /// Returns `g` with a 1 for the part that wanders, which is in every reading with the factor 1.
-fn append_drift_regressor(g: &[f64]) -> Vec<f64> {
+fn with_drift_regressor(g: &[f64]) -> Vec<f64> {
     [g, &[1.0]].concat()
 }
 

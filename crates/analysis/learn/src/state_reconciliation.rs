@@ -69,7 +69,7 @@ pub(crate) fn reconcile_state(
             memory.machine.description()
         ));
     }
-    if learnable_constants::quantity_by_name(&memory.quantity) != Some(quantity) {
+    if learnable_constants::learnable_quantity_by_name(&memory.quantity) != Some(quantity) {
         return Err(format!(
             "the state next to the output was learned for {}, and the record measures {}: give each quantity its own \
              --output",

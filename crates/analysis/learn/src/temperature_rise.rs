@@ -77,7 +77,7 @@ impl<'k> TemperatureRise<'k> {
 
     /// Adds the terms by which the rise is `more` times larger than is shown to `document`; the constants are those of `own`, the
     /// user's file. `None`: the file has no such law.
-    pub(crate) fn write_terms(
+    pub(crate) fn add_terms(
         &self,
         own: &DocumentMut,
         document: &mut DocumentMut,

@@ -122,7 +122,7 @@ pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
         let known = memory.events.iter().rposition(|event| {
             event.event == EventKind::Wear && event.constant.as_deref() == Some(&key)
         });
-        let Some([slope, error]) = sums.slope(scatter_um) else { continue };
+        let Some([slope, error]) = sums.slope_with_standard_error(scatter_um) else { continue };
         if known.is_none() && slope.abs() <= MIN_SLOPE_SIGMAS * error {
             continue;
         }

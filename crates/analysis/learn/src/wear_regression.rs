@@ -29,7 +29,7 @@ impl RegressionSums {
     }
 
     /// Returns s and its standard error, for a scatter in µm; `None` where there is no line.
-    pub fn slope(&self, scatter_um: f64) -> Option<[f64; 2]> {
+    pub(crate) fn slope_with_standard_error(&self, scatter_um: f64) -> Option<[f64; 2]> {
         let ([one, t, tt], [r, rt]) = (self.gg, self.gr);
         let determinant = one * tt - t * t;
         // Readings at one time have no line.
@@ -58,7 +58,7 @@ mod tests {
                 let g = 4.0;
                 sums.add_reading(g, g * (start + per_year * t) + noise[n as usize % 9], t);
             }
-            sums.slope(1.3).expect("a line")
+            sums.slope_with_standard_error(1.3).expect("a line")
         };
         let [slope, error] = sums(0.0, 1.25);
         assert!((slope - 1.25).abs() < 2.0 * error && error < 0.05, "{slope} {error}");

@@ -109,7 +109,7 @@ impl Chart {
         for series in &self.series {
             let class = series.colour.css_class();
             let points: Vec<[f64; 2]> =
-                series.visible_points().map(|[x, y]| [at_x(x), at_y(y)]).collect();
+                series.finite_points().map(|[x, y]| [at_x(x), at_y(y)]).collect();
             let (kind, path) = match series.is_line {
                 true => ("line", point_reduction::line_path(&points)),
                 false => ("dots", point_reduction::dots_path(&points)),
@@ -157,7 +157,7 @@ impl Chart {
 
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
     fn extent(&self) -> Option<[[f64; 2]; 2]> {
-        let all = || self.series.iter().flat_map(ChartSeries::visible_points);
+        let all = || self.series.iter().flat_map(ChartSeries::finite_points);
         let range = |of: usize| {
             let (low, high) = all()
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), point| {
@@ -209,7 +209,7 @@ impl ChartSeries {
         Self { name: name.into(), colour, points, is_line: false }
     }
 
-    pub(crate) fn visible_points(&self) -> impl Iterator<Item = [f64; 2]> {
+    pub(crate) fn finite_points(&self) -> impl Iterator<Item = [f64; 2]> {
         let is_there = |point: &&[f64; 2]| point.iter().all(|value| value.is_finite());
         self.points.iter().filter(is_there).copied()
     }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::{
     chart::ColourRole,
     html::escape_html,
-    number::{axis_ticks, format_significant},
+    number::{axis_ticks, format_three_digits},
 };
 
 const PLOT_WIDTH: f64 = 640.0;
@@ -17,7 +17,7 @@ const FOREST_PLOT_MARGINS: [f64; 4] = [190.0, 14.0, 10.0, 42.0];
 const MAX_NAME_CHARS: usize = 26;
 
 /// A value with its interval.
-pub type ValueWithInterval = (f64, [f64; 2]);
+pub type IntervalEstimate = (f64, [f64; 2]);
 
 /// A row of the plot.
 #[derive(Clone, Debug)]
@@ -25,9 +25,9 @@ pub struct ForestRow {
     /// Its name.
     pub name: String,
     /// The value by itself.
-    pub own: ValueWithInterval,
+    pub own: IntervalEstimate,
     /// The value with the help of the others, drawn below it.
-    pub shared: Option<ValueWithInterval>,
+    pub shared: Option<IntervalEstimate>,
 }
 
 /// Values of many things.
@@ -40,7 +40,7 @@ pub struct ForestPlot {
     /// The rows, from the top.
     pub rows: Vec<ForestRow>,
     /// The mean, drawn as a line, and its interval as a second bar at the bottom.
-    pub mean: Option<ValueWithInterval>,
+    pub mean: Option<IntervalEstimate>,
 }
 
 impl ForestPlot {
@@ -70,7 +70,7 @@ impl ForestPlot {
             let x = at(mean);
             let _ = write!(svg, "<path class=\"line truth\" d=\"M{x:.1} {top}V{floor}\"/>");
         }
-        let mut bar = |(value, [from, to]): ValueWithInterval, y: f64, colour: ColourRole| {
+        let mut bar = |(value, [from, to]): IntervalEstimate, y: f64, colour: ColourRole| {
             let class = colour.css_class();
             let _ = write!(
                 svg,
@@ -111,7 +111,7 @@ impl ForestPlot {
             escape_html(&self.title)
         );
         if let Some((mean, [from, to])) = self.mean {
-            let [mean, from, to] = [mean, from, to].map(format_significant);
+            let [mean, from, to] = [mean, from, to].map(format_three_digits);
             let _ = write!(svg, " <span class=\"key truth\">mean {mean} ({from} to {to})</span>");
         }
         svg.push_str("</figcaption></figure>\n");
@@ -120,7 +120,7 @@ impl ForestPlot {
 
     /// Returns the lowest and highest end of the intervals, with a margin.
     fn extent(&self) -> Option<[f64; 2]> {
-        let of = |(value, [low, high]): ValueWithInterval| [value, low, high];
+        let of = |(value, [low, high]): IntervalEstimate| [value, low, high];
         let rows = self.rows.iter().flat_map(|row| std::iter::once(row.own).chain(row.shared));
         let values = rows.chain(self.mean).flat_map(of).filter(|value| value.is_finite());
         let [low, high] = values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
@@ -147,7 +147,7 @@ fn abbreviate(name: &str) -> String {
 mod tests {
     use super::*;
 
-    fn row(name: &str, own: ValueWithInterval) -> ForestRow {
+    fn row(name: &str, own: IntervalEstimate) -> ForestRow {
         ForestRow { name: name.into(), own, shared: None }
     }
 

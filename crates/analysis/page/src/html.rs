@@ -218,7 +218,7 @@ impl HtmlTable {
 /// `text` with what HTML takes for its own, and what turns the direction of a line, written out.
 #[must_use]
 pub fn escape_html(text: &str) -> String {
-    let text = escape::escape_lines(text);
+    let text = escape::escape_except_line_breaks(text);
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -22,10 +22,10 @@ mod provenance;
 
 pub use bar_chart::BarChart;
 pub use chart::{Chart, ChartSeries, ColourRole};
-pub use forest_plot::{ForestPlot, ForestRow, ValueWithInterval};
+pub use forest_plot::{ForestPlot, ForestRow, IntervalEstimate};
 pub use html::{HtmlPage, HtmlTable, NEXT_COMMANDS_HEADING, commands_html, escape_html};
 pub use number::{
-    choose_time_unit, decimals_for_half_width, format_micrometres, format_significant,
+    choose_time_unit, decimals_for_half_width, format_micrometres, format_three_digits,
     format_with_interval,
 };
 pub use polar_plot::PolarPlot;

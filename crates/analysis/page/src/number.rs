@@ -13,13 +13,13 @@ pub fn format_micrometres(um: f64) -> String {
 /// Returns a number in three digits that mean something, in thousandths and less where it begins behind the point.
 ///
 /// ```
-/// assert_eq!(trueup_page::format_significant(1629.63), "1630");
-/// assert_eq!(trueup_page::format_significant(0.9541), "0.954");
-/// assert_eq!(trueup_page::format_significant(-0.011_394), "−11.4·10⁻³");
-/// assert_eq!(trueup_page::format_significant(0.000_020_5), "20.5·10⁻⁶");
+/// assert_eq!(trueup_page::format_three_digits(1629.63), "1630");
+/// assert_eq!(trueup_page::format_three_digits(0.9541), "0.954");
+/// assert_eq!(trueup_page::format_three_digits(-0.011_394), "−11.4·10⁻³");
+/// assert_eq!(trueup_page::format_three_digits(0.000_020_5), "20.5·10⁻⁶");
 /// ```
 #[must_use]
-pub fn format_significant(value: f64) -> String {
+pub fn format_three_digits(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return if value == 0.0 { "0".into() } else { "–".into() };
     }
@@ -52,7 +52,7 @@ fn decimals_for_three_digits(value: f64, most: usize) -> usize {
 pub fn format_with_interval(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
     let width = high - low;
     if !(width > 0.0 && width.is_finite()) {
-        return [value, low, high].map(format_significant);
+        return [value, low, high].map(format_three_digits);
     }
     let decimals = decimals_for_two_digits(width, 0);
     [value, low, high].map(|number| format!("{number:.decimals$}").replace('-', "−"))

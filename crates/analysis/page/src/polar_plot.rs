@@ -9,9 +9,9 @@ use crate::{
 /// Width and height.
 const PLOT_SIZE: f64 = 420.0;
 /// The radius of the circle without deviation.
-const CIRCLE_RADIUS: f64 = 125.0;
+const ZERO_DEVIATION_RADIUS: f64 = 125.0;
 /// The largest deviation.
-const MAX_PLOTTED_DEVIATION: f64 = 65.0;
+const MAX_RADIAL_OFFSET: f64 = 65.0;
 
 /// A polar plot. The points of its series are an angle in rad and a deviation in µm, outward positive.
 #[derive(Clone, Debug)]
@@ -28,22 +28,22 @@ impl PolarPlot {
     /// Returns the plot as a figure; an empty text without points.
     #[must_use]
     pub fn to_figure(&self) -> String {
-        let all = || self.series.iter().flat_map(ChartSeries::visible_points);
+        let all = || self.series.iter().flat_map(ChartSeries::finite_points);
         let largest = all().map(|[_, um]| um.abs()).fold(0.0, f64::max);
         if all().next().is_none() {
             return String::new();
         }
-        let scale = MAX_PLOTTED_DEVIATION / largest.max(1e-3);
+        let scale = MAX_RADIAL_OFFSET / largest.max(1e-3);
         let middle = PLOT_SIZE / 2.0;
         let at = |[angle, um]: [f64; 2]| {
-            let radius = CIRCLE_RADIUS + scale * um;
+            let radius = ZERO_DEVIATION_RADIUS + scale * um;
             [middle + radius * angle.cos(), middle - radius * angle.sin()]
         };
         let mut svg = format!(
             "<figure class=\"chart\"><svg viewBox=\"0 0 {PLOT_SIZE} {PLOT_SIZE}\" role=\"img\" aria-label=\"{}\">",
             escape_html(&self.title)
         );
-        let end = CIRCLE_RADIUS + MAX_PLOTTED_DEVIATION + 8.0;
+        let end = ZERO_DEVIATION_RADIUS + MAX_RADIAL_OFFSET + 8.0;
         let _ = write!(
             svg,
             "<path class=\"grid\" d=\"M{0:.1} {middle:.1}H{1:.1}M{middle:.1} {0:.1}V{1:.1}\"/>",
@@ -51,7 +51,7 @@ impl PolarPlot {
             middle + end
         );
         for (um, label) in axis_ticks(-largest, largest, 4.0) {
-            let radius = CIRCLE_RADIUS + scale * um;
+            let radius = ZERO_DEVIATION_RADIUS + scale * um;
             let class = if um == 0.0 { "zero" } else { "grid" };
             // On the diagonal, where the fewest curves have their peaks.
             let [x, y] = at([std::f64::consts::FRAC_PI_4, um]);
@@ -74,7 +74,7 @@ impl PolarPlot {
             escape_html(up)
         );
         for series in &self.series {
-            let points: Vec<[f64; 2]> = series.visible_points().map(at).collect();
+            let points: Vec<[f64; 2]> = series.finite_points().map(at).collect();
             let class = series.colour.css_class();
             let _ = write!(
                 svg,

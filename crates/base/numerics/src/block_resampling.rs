@@ -75,12 +75,12 @@ impl PairedComparison {
 
 /// Blocks to draw from.
 #[derive(Clone, Debug)]
-pub struct Blocks {
+pub struct RowBlocks {
     of_row: Vec<usize>,
     count: usize,
 }
 
-impl Blocks {
+impl RowBlocks {
     /// Of `rows` rows, at least five correlation times of `memory` rows long where that leaves enough
     /// of them.
     #[must_use]
@@ -163,7 +163,7 @@ mod tests {
     fn half_of_the_error_everywhere_is_a_reduction_by_half_whatever_is_drawn() {
         let before: Vec<f64> = (0..200).map(|row| f64::from(row % 7) - 3.0).collect();
         let after: Vec<f64> = before.iter().map(|e| e / 2.0).collect();
-        let found = Blocks::new(200, 3.0).rms_reduction(&before, &after);
+        let found = RowBlocks::new(200, 3.0).rms_reduction(&before, &after);
         let all = [found.value, found.ci95[0], found.ci95[1]];
         assert!(all.iter().all(|value| (value - 0.5).abs() < 1e-12) && found.is_gain, "{found:?}");
     }
@@ -172,14 +172,14 @@ mod tests {
     fn what_helps_one_block_and_harms_the_others_is_no_gain() {
         let before = vec![1.0; 400];
         let after: Vec<f64> = (0..400).map(|row| if row < 40 { 0.0 } else { 1.05 }).collect();
-        let found = Blocks::new(400, 1.0).rms_reduction(&before, &after);
+        let found = RowBlocks::new(400, 1.0).rms_reduction(&before, &after);
         assert!(found.ci95[0] < 0.0 && found.ci95[1] > 0.0, "{found:?}");
     }
 
     #[test]
     fn what_one_block_alone_gains_is_not_a_gain_beyond_its_standard_error() {
         let before = vec![1.0; 400];
-        let blocks = Blocks::new(400, 1.0);
+        let blocks = RowBlocks::new(400, 1.0);
         let once: Vec<f64> = (0..400).map(|row| if row < 10 { 0.0 } else { 1.0 }).collect();
         let paired = blocks.compare_paired(&before, &once);
         assert_eq!([paired.gain, paired.without_best], [10.0, 0.0]);
@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn blocks_are_five_correlation_times_long_but_at_least_eight_and_at_most_forty() {
-        assert_eq!([0.0, 5.0, 1e3].map(|memory| Blocks::new(400, memory).count), [40, 16, 8]);
-        assert_eq!(Blocks::new(5, 0.0).count, 5);
+        assert_eq!([0.0, 5.0, 1e3].map(|memory| RowBlocks::new(400, memory).count), [40, 16, 8]);
+        assert_eq!(RowBlocks::new(5, 0.0).count, 5);
     }
 }

@@ -33,7 +33,7 @@ impl LineFit {
 
 /// Why no line can be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FitError {
+pub enum LineFitError {
     /// x and y have different numbers of rows.
     #[error("{x_rows} rows of x but {y_rows} of y")]
     LengthsDiffer {
@@ -69,18 +69,18 @@ pub enum FitError {
 /// part.
 ///
 /// # Errors
-/// See [`FitError`].
-pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, FitError> {
+/// See [`LineFitError`].
+pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, LineFitError> {
     if x.len() != y.len() {
-        return Err(FitError::LengthsDiffer { x_rows: x.len(), y_rows: y.len() });
+        return Err(LineFitError::LengthsDiffer { x_rows: x.len(), y_rows: y.len() });
     }
     if let Some(row) = x.iter().zip(y).position(|(x, y)| x.is_infinite() || y.is_infinite()) {
-        return Err(FitError::Infinite { row });
+        return Err(LineFitError::Infinite { row });
     }
     let pairs = || x.iter().zip(y).filter(|(x, y)| !x.is_nan() && !y.is_nan());
     let rows = pairs().count();
     if rows < 3 {
-        return Err(FitError::TooFewRows { rows });
+        return Err(LineFitError::TooFewRows { rows });
     }
     reject_undetermined_slope(x, y)?;
 
@@ -104,12 +104,12 @@ pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, FitError> {
 
 /// Refuses x without spread, and x whose only spread is one row: its own weight is 1, and the line
 /// without it is not defined. By comparison, as in floating point the weight only comes near 1.
-fn reject_undetermined_slope(x: &[f64], y: &[f64]) -> Result<(), FitError> {
+fn reject_undetermined_slope(x: &[f64], y: &[f64]) -> Result<(), LineFitError> {
     let present = || x.iter().zip(y).enumerate().filter(|(_, (x, y))| !x.is_nan() && !y.is_nan());
     let least = present().fold(f64::INFINITY, |least, (_, (x, _))| least.min(*x));
     let most = present().fold(f64::NEG_INFINITY, |most, (_, (x, _))| most.max(*x));
     if least == most {
-        return Err(FitError::NoSpread);
+        return Err(LineFitError::NoSpread);
     }
     if present().any(|(_, (x, _))| *x != least && *x != most) {
         return Ok(());
@@ -117,7 +117,7 @@ fn reject_undetermined_slope(x: &[f64], y: &[f64]) -> Result<(), FitError> {
     for end in [least, most] {
         let mut at_end = present().filter(|(_, (x, _))| **x == end);
         if let (Some((row, _)), None) = (at_end.next(), at_end.next()) {
-            return Err(FitError::OneRowDecides { row });
+            return Err(LineFitError::OneRowDecides { row });
         }
     }
     Ok(())
@@ -191,13 +191,13 @@ mod tests {
 
     #[test]
     fn what_decides_no_line_is_refused() {
-        let lengths = FitError::LengthsDiffer { x_rows: 1, y_rows: 2 };
+        let lengths = LineFitError::LengthsDiffer { x_rows: 1, y_rows: 2 };
         assert_eq!(fit_line(&[1.0], &[1.0, 2.0]), Err(lengths));
-        assert_eq!(fit_line(&[], &[]), Err(FitError::TooFewRows { rows: 0 }));
-        let two = FitError::TooFewRows { rows: 2 };
+        assert_eq!(fit_line(&[], &[]), Err(LineFitError::TooFewRows { rows: 0 }));
+        let two = LineFitError::TooFewRows { rows: 2 };
         assert_eq!(fit_line(&[1.0, 2.0, 3.0], &[1.0, f64::NAN, 2.0]), Err(two));
-        assert_eq!(fit_line(&[0.1; 4], &[1.0, 2.0, 3.0, 4.0]), Err(FitError::NoSpread));
-        let infinite = FitError::Infinite { row: 1 };
+        assert_eq!(fit_line(&[0.1; 4], &[1.0, 2.0, 3.0, 4.0]), Err(LineFitError::NoSpread));
+        let infinite = LineFitError::Infinite { row: 1 };
         assert_eq!(fit_line(&[1.0, f64::INFINITY, 2.0], &[1.0; 3]), Err(infinite));
     }
 
@@ -206,7 +206,7 @@ mod tests {
         for row in 0..4 {
             let mut x = [0.1; 4];
             x[row] = 7.3;
-            let decides = FitError::OneRowDecides { row };
+            let decides = LineFitError::OneRowDecides { row };
             assert_eq!(fit_line(&x, &[1.0, 2.0, 3.0, 4.0]), Err(decides));
         }
         assert!(fit_line(&[1.0, 1.0, 2.0, 2.0], &[1.0, 2.0, 3.0, 4.0]).is_ok());

@@ -24,12 +24,12 @@ const MIN_POISSON_WEIGHT: f64 = 1e-17;
 /// freedom finds an effect of this `noncentrality`; 0 where nothing is left to test with.
 ///
 /// ```
-/// use trueup_numerics::noncentral_f::power;
+/// use trueup_numerics::noncentral_f::f_test_power;
 /// // scipy.stats.ncf.sf(f.isf(0.01, 2, 20), 2, 20, 15)
 /// assert!((power(0.01, 2.0, 20.0, 15.0) - 0.712_219_807).abs() < 1e-9);
 /// ```
 #[must_use]
-pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64) -> f64 {
+pub fn f_test_power(significance: f64, constants: f64, freedom: f64, noncentrality: f64) -> f64 {
     let Ok(central) = FisherSnedecor::new(constants, freedom) else { return 0.0 };
     if noncentrality.is_nan() || noncentrality <= 0.0 {
         // Without an effect it is found by chance alone.
@@ -64,7 +64,7 @@ pub fn required_noncentrality(
     constants: f64,
     freedom: f64,
 ) -> f64 {
-    let finds = |lambda: f64| power(significance, constants, freedom, lambda) >= requested;
+    let finds = |lambda: f64| f_test_power(significance, constants, freedom, lambda) >= requested;
     let (mut low, mut high) = (0.0, 1.0);
     while !finds(high) {
         (low, high) = (high, 2.0 * high);
@@ -95,17 +95,17 @@ mod tests {
             (5.0, 3.0, 200.0, 0.05, 0.995_069_487_385_805_1),
             (3.0, 97.0, 0.0, 0.01, 0.01),
         ] {
-            let here = power(significance, k, freedom, lambda);
+            let here = f_test_power(significance, k, freedom, lambda);
             assert!((here - scipy).abs() < 1e-9, "{k} {freedom} {lambda}: {here} and {scipy}");
         }
-        assert_eq!(power(0.01, 1.0, 0.0, 100.0), 0.0);
+        assert_eq!(f_test_power(0.01, 1.0, 0.0, 100.0), 0.0);
     }
 
     #[test]
     fn a_part_of_a_degree_of_freedom_finds_next_to_nothing() {
         for constants in [1.0, 2.0, 2.4] {
             for freedom in [1e-9, 1e-3, 0.01, 0.02, 0.05, 0.1, 0.3] {
-                let found = power(1e-5, constants, freedom, 1e4);
+                let found = f_test_power(1e-5, constants, freedom, 1e4);
                 assert!((0.0..0.2).contains(&found), "{constants} {freedom}: {found}");
                 let lambda = required_noncentrality(0.95, 1e-5, constants, freedom);
                 assert_eq!(lambda, f64::INFINITY, "{constants} {freedom}");
@@ -117,7 +117,7 @@ mod tests {
     fn the_noncentrality_is_the_one_that_has_the_power() {
         for (constants, freedom) in [(1.0, 10.0), (2.0, 598.0), (21.0, 44.0)] {
             let lambda = required_noncentrality(0.95, 0.01, constants, freedom);
-            assert!((power(0.01, constants, freedom, lambda) - 0.95).abs() < 1e-3);
+            assert!((f_test_power(0.01, constants, freedom, lambda) - 0.95).abs() < 1e-3);
         }
         assert_eq!(required_noncentrality(0.95, 0.01, 1.0, 0.0), f64::INFINITY);
     }

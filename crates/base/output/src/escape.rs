@@ -20,7 +20,7 @@ pub fn escape_line(text: &str) -> String {
 
 /// Returns the text with every unsafe character escaped except line breaks and tabs: for a text of several lines.
 #[must_use]
-pub fn escape_lines(text: &str) -> String {
+pub fn escape_except_line_breaks(text: &str) -> String {
     EscapedText { text, keep: &['\n', '\t'] }.to_string()
 }
 
@@ -91,6 +91,6 @@ mod tests {
         ] {
             assert_eq!(escape_line(text), shown);
         }
-        assert_eq!(escape_lines("a\n\tb\r\u{7}"), "a\n\tb\\r\\u{7}");
+        assert_eq!(escape_except_line_breaks("a\n\tb\r\u{7}"), "a\n\tb\\r\\u{7}");
     }
 }

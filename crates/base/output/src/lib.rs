@@ -26,11 +26,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use escape::escape_lines;
+use escape::escape_except_line_breaks;
 use line_queue::LineQueue;
 
 /// Longest wait for a standard error that is busy (`EAGAIN`).
-const DIAGNOSTIC_TIMEOUT: Duration = Duration::from_secs(1);
+const STDERR_WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 /// From one try to the next on a stream that is busy.
 const WRITE_RETRY_INTERVAL: Duration = Duration::from_millis(2);
 /// Longest wait at the end for queued lines.
@@ -77,7 +77,7 @@ pub fn flush_queues() {
 
 /// Writes a line of diagnostics to standard error, escaped except for its line breaks. Never fails.
 pub fn write_diagnostic(text: impl Display) {
-    write_to_stderr(format!("{}\n", escape_lines(&text.to_string())));
+    write_to_stderr(format!("{}\n", escape_except_line_breaks(&text.to_string())));
 }
 
 /// Writes text to standard error unchanged, colours and cursor movements included: what a user's file has brought
@@ -88,7 +88,7 @@ pub fn write_styled_diagnostic(text: impl Display) {
 
 /// Writes a question to standard error, without a line break at its end. Never fails.
 pub fn write_prompt(question: impl Display) {
-    write_to_stderr(escape_lines(&question.to_string()));
+    write_to_stderr(escape_except_line_breaks(&question.to_string()));
 }
 
 /// Writes a result on a line of its own to standard output, escaped except for its line breaks.
@@ -96,7 +96,7 @@ pub fn write_prompt(question: impl Display) {
 /// # Errors
 /// Standard output cannot be written, and its reader has not just left. Never after [`enable_background_output`] or [`enable_best_effort_output`].
 pub fn write_result(text: impl Display) -> io::Result<()> {
-    let text = format!("{}\n", escape_lines(&text.to_string()));
+    let text = format!("{}\n", escape_except_line_breaks(&text.to_string()));
     if let Some(OutputQueues { output, .. }) = OUTPUT_QUEUES.get() {
         output.push(text);
         return Ok(());
@@ -194,7 +194,7 @@ fn write_to_stderr(text: String) {
         error.push(text);
         return;
     }
-    let deadline = Instant::now() + DIAGNOSTIC_TIMEOUT;
+    let deadline = Instant::now() + STDERR_WRITE_TIMEOUT;
     let mut left = text.as_bytes();
     while !left.is_empty() {
         // Nothing is left to report this failure to.

@@ -29,9 +29,9 @@ pub(crate) const FLASH_LINE_BYTES: u32 = 16;
 /// Lines that the cache of the flash holds (RM0090 3.5.2).
 pub(crate) const FLASH_CACHE_LINES: usize = 64;
 /// Cycles in which the pipeline is filled after a branch, at the longest (DDI 0439, table 3-1: 1 to 3).
-pub(crate) const PIPELINE_REFILL_CYCLES: u64 = 3;
+pub(crate) const MAX_PIPELINE_REFILL_CYCLES: u64 = 3;
 /// Bytes that the core may have asked for ahead of a branch: three words (DDI 0439, prefetch unit).
-const PREFETCH_BYTES: u32 = 12;
+const MAX_PREFETCH_BYTES: u32 = 12;
 
 impl ClockConfiguration {
     /// Returns the waits of an access, whose address is a number where `address` has one; `is_ram`: it is in the RAM.
@@ -75,12 +75,13 @@ impl ClockConfiguration {
     #[must_use]
     pub(crate) fn taken_branch_cycles(&self, end: u32, is_kept: bool) -> u64 {
         if is_kept {
-            return PIPELINE_REFILL_CYCLES;
+            return MAX_PIPELINE_REFILL_CYCLES;
         }
         // A line that was requested ahead is waited for, though it is not needed any more.
-        let ahead = ((end + PREFETCH_BYTES - 1) / FLASH_LINE_BYTES - (end - 1) / FLASH_LINE_BYTES)
+        let ahead = ((end + MAX_PREFETCH_BYTES - 1) / FLASH_LINE_BYTES
+            - (end - 1) / FLASH_LINE_BYTES)
             * self.flash;
-        PIPELINE_REFILL_CYCLES + u64::from(self.flash + ahead)
+        MAX_PIPELINE_REFILL_CYCLES + u64::from(self.flash + ahead)
     }
 
     /// Returns those to the instruction behind.

@@ -172,7 +172,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
             Ok(ControlFlowGraph::read_at_outline_depth(image, piece, depth + 1)?.blocks)
         };
         let blocks = outlined_code::inline_outlined_code(image, blocks, depth, read)?;
-        Ok(retain_reachable_blocks(self.function.name.clone(), blocks))
+        Ok(reachable_subgraph(self.function.name.clone(), blocks))
     }
 
     fn connect_block(
@@ -197,10 +197,11 @@ impl<'a> ControlFlowGraphBuilder<'a> {
                     block.next.push(ControlFlowEdge { to, is_taken: true });
                 } else {
                     // A function that ends by calling another one.
-                    block.call = Some(Call::Direct(BTreeSet::from([call_target(image, target)
-                        .with_context(|| {
-                        self.format_problem(&one, "jumps to no function")
-                    })?])));
+                    block.call =
+                        Some(Call::Direct(BTreeSet::from([function_start_at(image, target)
+                            .with_context(|| {
+                                self.format_problem(&one, "jumps to no function")
+                            })?])));
                     block.returns = true;
                 }
                 if may_fall || matches!(one.flow, ControlFlow::CompareAndBranch { .. }) {
@@ -208,7 +209,7 @@ impl<'a> ControlFlowGraphBuilder<'a> {
                 }
             }
             ControlFlow::Call(target) => {
-                let start = call_target(image, target)
+                let start = function_start_at(image, target)
                     .with_context(|| self.format_problem(&one, "calls what is no function"))?;
                 block.call = Some(Call::Direct(BTreeSet::from([start])));
                 block.next.push(ControlFlowEdge { is_taken: true, ..fall() });
@@ -251,12 +252,12 @@ impl<'a> ControlFlowGraphBuilder<'a> {
     }
 }
 
-fn call_target(image: &FirmwareImage, target: u32) -> Option<u32> {
+fn function_start_at(image: &FirmwareImage, target: u32) -> Option<u32> {
     image.function_at(target).map(|function| function.start).filter(|start| *start == target & !1)
 }
 
 /// Leaves out what the entry does not lead to.
-fn retain_reachable_blocks(name: String, blocks: Vec<BasicBlock>) -> ControlFlowGraph {
+fn reachable_subgraph(name: String, blocks: Vec<BasicBlock>) -> ControlFlowGraph {
     let mut seen = vec![false; blocks.len()];
     let mut open = vec![0];
     while let Some(number) = open.pop() {

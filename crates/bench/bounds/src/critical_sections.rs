@@ -77,7 +77,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
         let (mut seen, mut open, mut found) = (BTreeSet::new(), vec![entry], Vec::new());
         while let Some(entry) = open.pop() {
             if seen.insert(entry)
-                && let Some(own) = self.interrupt_mask_effects(entry)
+                && let Some(own) = self.analyse_interrupt_masking(entry)
             {
                 found.extend(own.sections.iter().cloned());
                 open.extend(own.calls.iter().copied());
@@ -86,7 +86,10 @@ impl<'a> CriticalSectionAnalysis<'a> {
         found
     }
 
-    fn interrupt_mask_effects(&mut self, entry: FunctionEntry) -> Option<Rc<InterruptMaskEffects>> {
+    fn analyse_interrupt_masking(
+        &mut self,
+        entry: FunctionEntry,
+    ) -> Option<Rc<InterruptMaskEffects>> {
         if let Some(own) = self.known.get(&entry) {
             return Some(own.clone());
         }
@@ -95,9 +98,9 @@ impl<'a> CriticalSectionAnalysis<'a> {
         // A circle has no price, and there is a complaint about it.
         self.known.insert(entry, Rc::default());
         for call in &calls {
-            self.interrupt_mask_effects(*call);
+            self.analyse_interrupt_masking(*call);
         }
-        let priced = self.worst.function_costs(&prepared);
+        let priced = self.worst.compute_function_costs(&prepared);
         let mut own =
             InterruptMaskEffects { sections: Vec::new(), opens: false, closes: false, calls };
         for number in 0..prepared.graph.blocks.len() {
@@ -130,10 +133,10 @@ impl<'a> CriticalSectionAnalysis<'a> {
             (Some(InterruptMaskChange::Raise(register)), _) => {
                 let mut state = prepared.starts[number];
                 for one in &block.instructions[..block.instructions.len() - 1] {
-                    state.execute_conditional_instruction(self.program.image, one);
+                    state.execute_checking_condition(self.program.image, one);
                 }
                 let Some(value) = state.register_value(register).as_constant() else {
-                    self.program.report_problem(format!(
+                    self.program.record_problem(format!(
                         "ceiling that is no number in {}, at {:#x}",
                         prepared.graph.name, last.at
                     ));
@@ -152,7 +155,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
         let found = self.find_section_blocks(prepared, kind, &first);
         if found.returns {
             if kind == MaskingMechanism::Ceiling {
-                self.program.report_problem(format!(
+                self.program.record_problem(format!(
                     "{} comes back with its ceiling raised at {:#x}",
                     prepared.graph.name, last.at
                 ));
@@ -230,7 +233,7 @@ impl<'a> CriticalSectionAnalysis<'a> {
                         }));
             if depth > 8 {
                 self.program
-                    .report_problem(format!("{} raises its ceiling without end", graph.name));
+                    .record_problem(format!("{} raises its ceiling without end", graph.name));
             }
             if is_over {
                 // The instruction that ends it may stand in the next block.

@@ -4,7 +4,7 @@ use std::{cell::RefCell, collections::BTreeSet};
 
 use crate::{
     control_flow::BasicBlock,
-    declarations::{DeclarationTable, ExcludedCode, SourceLocation},
+    declarations::{DeclarationTable, ExcludedCode, SourcePattern},
     decode::ControlFlow,
     image::{FirmwareImage, SourceFrame},
     source_code::SourceCode,
@@ -46,7 +46,7 @@ impl<'a> DeclarationLookup<'a> {
     #[must_use]
     pub(crate) fn unused_declarations(&self) -> Vec<String> {
         let used = self.used.borrow();
-        let kinds: [(&str, Vec<SourceLocation>); 4] = [
+        let kinds: [(&str, Vec<SourcePattern>); 4] = [
             ("loop", self.table.loops.iter().map(|declaration| declaration.at).collect()),
             ("copy", self.table.copies.iter().map(|declaration| declaration.at).collect()),
             ("call", self.table.calls.iter().map(|declaration| declaration.at).collect()),
@@ -109,7 +109,7 @@ impl<'a> DeclarationLookup<'a> {
         self.used.borrow_mut().extend(number.map(|number| ("excluded", number)));
     }
 
-    fn matches_location(&self, spot: &SourceLocation, place: &SourceFrame) -> bool {
+    fn matches_location(&self, spot: &SourcePattern, place: &SourceFrame) -> bool {
         place.function.contains(spot.function)
             && (spot.line.is_empty()
                 || self
@@ -134,7 +134,7 @@ impl<'a> DeclarationLookup<'a> {
     pub(crate) fn find_declaration_index(
         &self,
         kind: &'static str,
-        spots: &[SourceLocation],
+        spots: &[SourcePattern],
         at: u32,
         function: &str,
     ) -> Option<usize> {

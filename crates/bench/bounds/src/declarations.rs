@@ -61,7 +61,7 @@ impl CalibrationSizes {
 
 /// A place in the source: a function, or a part of its path, and what stands in the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SourceLocation {
+pub struct SourcePattern {
     /// Part of the path of the function.
     pub function: &'static str,
     /// Part of the source line; empty: any line of the function.
@@ -72,7 +72,7 @@ pub struct SourceLocation {
 #[derive(Clone, Copy, Debug)]
 pub struct LoopBound {
     /// The loop.
-    pub at: SourceLocation,
+    pub at: SourcePattern,
     /// Its bound.
     pub rounds: IterationBound,
     /// The reason.
@@ -83,7 +83,7 @@ pub struct LoopBound {
 #[derive(Clone, Copy, Debug)]
 pub struct CopyLengthBound {
     /// The call.
-    pub at: SourceLocation,
+    pub at: SourcePattern,
     /// Bytes.
     pub bytes: u32,
     /// The reason.
@@ -94,7 +94,7 @@ pub struct CopyLengthBound {
 #[derive(Clone, Copy, Debug)]
 pub struct CallTargets {
     /// The call.
-    pub at: SourceLocation,
+    pub at: SourcePattern,
     /// Parts of the names of the functions.
     pub functions: &'static [&'static str],
     /// The reason.
@@ -105,14 +105,14 @@ pub struct CallTargets {
 #[derive(Clone, Copy, Debug)]
 pub struct ExcludedCode {
     /// A whole function, where no line is named; else the code that stands for this line alone.
-    pub at: SourceLocation,
+    pub at: SourcePattern,
     /// The reason.
     pub reason: &'static str,
 }
 
 /// A function that a turn calls once, though a loop or several paths have it.
 #[derive(Clone, Copy, Debug)]
-pub struct CalledOnceFunction {
+pub struct RateLimitedFunction {
     /// Part of the function's name; of several that share the calls, with `|` between them.
     pub function: &'static str,
     /// Microseconds between two calls in the long run, at the least, of all callers together.
@@ -137,7 +137,7 @@ pub struct DeclarationTable {
     /// Code that a loop over bytes comes to at the end of a line alone.
     pub lines: &'static [ExcludedCode],
     /// Functions that a turn calls once.
-    pub once: &'static [CalledOnceFunction],
+    pub once: &'static [RateLimitedFunction],
 }
 
 /// Returns the bound of a loop, with its reason.
@@ -147,7 +147,7 @@ pub(crate) const fn loop_bound(
     rounds: IterationBound,
     reason: &'static str,
 ) -> LoopBound {
-    LoopBound { at: SourceLocation { function, line }, rounds, reason }
+    LoopBound { at: SourcePattern { function, line }, rounds, reason }
 }
 
 /// Returns the length of a copy, with its reason.
@@ -157,7 +157,7 @@ pub(crate) const fn copy_length_bound(
     bytes: u32,
     reason: &'static str,
 ) -> CopyLengthBound {
-    CopyLengthBound { at: SourceLocation { function, line }, bytes, reason }
+    CopyLengthBound { at: SourcePattern { function, line }, bytes, reason }
 }
 
 /// Returns code that is excluded, with its reason.
@@ -166,7 +166,7 @@ pub(crate) const fn excluded_code(
     line: &'static str,
     reason: &'static str,
 ) -> ExcludedCode {
-    ExcludedCode { at: SourceLocation { function, line }, reason }
+    ExcludedCode { at: SourcePattern { function, line }, reason }
 }
 
 /// Functions whose time depends on a length: part of the name, and the number of that argument.

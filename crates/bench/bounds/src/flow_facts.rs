@@ -3,17 +3,17 @@
 //! A line is named where a function has several loops. `cargo xtask bounds` names declarations that nothing needs.
 
 use crate::declarations::{
-    CalledOnceFunction, CopyLengthBound, DeclarationTable, ExcludedCode,
+    CopyLengthBound, DeclarationTable, ExcludedCode,
     IterationBound::{
         AtMost, Length, Mask, Microseconds, PerStoredBytes, PerTerm, PerTool, PerWaitingByte,
         RemainderBytes, Together,
     },
-    LoopBound, copy_length_bound, excluded_code, loop_bound,
+    LoopBound, RateLimitedFunction, copy_length_bound, excluded_code, loop_bound,
 };
 
 /// Microseconds for which the core stands still while a word of the flash is programmed, at the longest (DS8626, flash memory
 /// programming; 16 typically).
-pub(crate) const FLASH_PROGRAM_STALL_US: f64 = 100.0;
+pub(crate) const MAX_FLASH_PROGRAM_STALL_US: f64 = 100.0;
 
 const EXCLUSIVE_STORE_REASON: &str = "an exclusive store fails only where an interrupt came in between, and the entry of that one is \
                          priced with a round of this";
@@ -52,7 +52,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("RxStream::read", "", PerWaitingByte, "the ring of the DMA"),
     loop_bound("byte_queue::Reader", "", PerWaitingByte, "the queue of bytes"),
     loop_bound("app::modbus", "while let Some(received)", PerWaitingByte, "the queue of bytes"),
-    loop_bound("plc::queue_answer", "", AtMost(61), "the longest answer, `ANSWER`"),
+    loop_bound("plc::queue_response", "", AtMost(61), "the longest answer, `ANSWER`"),
     loop_bound("Port::send_all", "", AtMost(2), "the frames of a tick, `Frames`"),
     loop_bound("encode_line_bytes", "", AtMost(8), "the bytes of a frame"),
     loop_bound("Port::queue", "", AtMost(22), "the line of a frame, `MAX_FRAME_LINE_LEN`"),
@@ -83,7 +83,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     ),
     loop_bound("LinearInputs::read_means", "", AtMost(125), "`MAX_CODES_PER_CHANNEL`"),
     loop_bound("SpiDevice>::transaction", "", AtMost(9), "its registers, and the first byte"),
-    loop_bound("SerialOut::transmit_polled", "", AtMost(16), "`MAX_POLLED_BYTES`, `serial.rs`"),
+    loop_bound("SerialTx::transmit_polled", "", AtMost(16), "`MAX_POLLED_BYTES`, `serial.rs`"),
     // The store.
     loop_bound(
         "FlashLog<F>::append",
@@ -119,7 +119,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "the sources, `ElongationSource::ALL`",
     ),
     loop_bound(
-        "Bridge>::first_available_source",
+        "Bridge>::first_fresh_in_chain",
         "",
         AtMost(3),
         "the sources, `ElongationSource::ALL`",
@@ -137,7 +137,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "at most 32 tools (`MAX_TOOLS`, `core/src/design_parameters.rs`)",
     ),
     loop_bound(
-        "CachedErrors::update_guides",
+        "CachedErrors::update_guideway_errors",
         "STRAIGHTNESS_INDICES_BY_AXIS",
         AtMost(3),
         "the two guides of an axis, and once to come to their list",
@@ -200,7 +200,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("Object::entry", "", AtMost(64), "the entries of an object"),
     loop_bound("dictionary::find_object", "", AtMost(64), "the objects"),
     loop_bound(
-        "sensor_health::SensorHealth::replace_outliers",
+        "sensor_health::SensorHealthMonitor::replace_outliers",
         "",
         Together(20),
         "the codes of a block, `CODES_PER_TICK`",
@@ -271,7 +271,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("__aeabi_memset4", "", PerStoredBytes { argument: 1, per: 4 }, COPY_LOOP_REASON),
     // Waits for the chip.
     loop_bound(
-        "serial::SerialOut::write_byte",
+        "serial::SerialTx::write_byte",
         "",
         Microseconds(11),
         "a byte leaves at 921 600 Bd; one that does not is dropped",
@@ -301,7 +301,7 @@ const COPY_LENGTH_BOUNDS: &[CopyLengthBound] = &[
         "Port::discard_front",
         "",
         240,
-        "what waits in the port, `TX_CAPACITY`, without a piece: that of `poll` is 16",
+        "what waits in the port, `TX_CAPACITY_BYTES`, without a piece: that of `poll` is 16",
     ),
     copy_length_bound("Frame::new", "", 8, "the bytes of a frame"),
     copy_length_bound("upload_segment", "", 7, "a segment of SDO"),
@@ -354,7 +354,7 @@ const EXCLUDED_CALLS: &[ExcludedCode] = &[
         "the running calibration is stored again at rest alone, on the operator's command",
     ),
     excluded_code(
-        "BrownOut::raise_level",
+        "BrownOutLevel::raise_level",
         "",
         "the option bytes are written once in the life of a board, after two seconds without an offset",
     ),
@@ -363,13 +363,13 @@ const EXCLUDED_CALLS: &[ExcludedCode] = &[
         "pivot",
         "a single byte is never split: the cursor is below the size of the buffer (`defmt-rtt`)",
     ),
-    excluded_code("CanOut::count_late_frame", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
-    excluded_code("CanIn::count_overrun", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
-    excluded_code("SerialIn::read_polled", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
-    excluded_code("SerialIn::read_dma", "defmt::error", LOGGED_ONCE_REASON),
-    excluded_code("SerialOut::send", "defmt::error", LOGGED_ONCE_REASON),
+    excluded_code("CanTx::count_late_frame", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
+    excluded_code("CanRx::count_overrun", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
+    excluded_code("SerialRx::read_polled", "defmt::warn", LOG_ON_POWER_OF_TWO_REASON),
+    excluded_code("SerialRx::read_dma", "defmt::error", LOGGED_ONCE_REASON),
+    excluded_code("SerialTx::send", "defmt::error", LOGGED_ONCE_REASON),
     excluded_code(
-        "SerialIn::read_dma",
+        "SerialRx::read_dma",
         "incoming.restart()",
         "the line is overrun where its DMA stands: it is started anew once, and is dead the second time",
     ),
@@ -379,7 +379,7 @@ const EXCLUDED_CALLS: &[ExcludedCode] = &[
         "the supervisor ticks where no block has come for 10 ms: there is no offset to be late for",
     ),
     excluded_code(
-        "SerialOut::send",
+        "SerialTx::send",
         "abort",
         "once, when the DMA of the serial line has died: its last bytes are polled out",
     ),
@@ -394,102 +394,102 @@ const LINE_END_EXCLUSIONS: &[ExcludedCode] = &[
     excluded_code("app::listen", "node.receive", "a frame is a line"),
 ];
 
-const CALLED_ONCE_FUNCTIONS: &[CalledOnceFunction] = &[
-    CalledOnceFunction {
+const CALLED_ONCE_FUNCTIONS: &[RateLimitedFunction] = &[
+    RateLimitedFunction {
         function: "Node::receive_control",
         period_us: 10_000.0,
         burst: 0,
         reason: "a CNC sends one `Control` in 10 ms, a PLC one in a block",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "sdo::ObjectAccess for trueup_node::node::Node>::read|sdo::ObjectAccess for trueup_node::node::Node>::write\
                    |sdo::ObjectAccess for trueup_node::node::Node>::open",
         period_us: 2_000.0,
         burst: 0,
         reason: "an SDO request uses one entry, and its client waits for the answer: one is sent every 2 ms",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "sdo::find_entry",
         period_us: 2_000.0,
         burst: 0,
         reason: "once a request, as above",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "Bridge>::update_axis_position",
         period_us: 2_000.0 / 3.0,
         burst: 3,
         reason: "once an axis in 2 ticks (`ERROR_UPDATE_PERIOD_MS`, `core/src/bridge.rs`): all three at once, and again in 1.4 ms where a \
                  tick was late",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "Bridge>::update_angles",
         period_us: 2_000.0,
         burst: 1,
         reason: "once in 2 ticks, as `update_axis_position`",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "server::handle_request",
         period_us: 1_750.0,
         burst: 1,
         reason: "a frame ends with a silence of 1.75 ms (`FrameTiming`, `modbus/src/rtu.rs`), and one may have begun before",
     },
-    CalledOnceFunction {
-        function: "plc::queue_answer",
+    RateLimitedFunction {
+        function: "plc::queue_response",
         period_us: 1_750.0,
         burst: 1,
         reason: "once a frame, as `server::handle_request`",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "serial_dma::TxStream::send",
         period_us: 420.0,
         burst: 2,
         reason: "a piece has what `sample`, `service` or `supervise` has queued, or follows a full one: once in 1, 2, 10 and 1.38 ms; one \
                  more by each of the first two where they come at once, and together they leave as one",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "Port::discard_front",
         period_us: 1_380.0,
         burst: 0,
         reason: "bytes stay in the port where a piece of 128 is full, which takes 1.38 ms to leave (`PIECE`, `serial_dma.rs`)",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "registers::<impl trueup_node::node::Node>::receive_command",
         period_us: 1_000.0,
         burst: 6,
         reason: "six values of a block, whose 49 bytes and silence take 6.4 ms at 115 200 Bd",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "e2e::has_valid_crc",
         period_us: 2_900.0,
         burst: 2,
         reason: "two CRCs of a block, whose 43 bytes and silence take 5.8 ms at 115 200 Bd",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "server::execute_request",
         period_us: 2_500.0,
         burst: 1,
         reason: "8 bytes or more (`MIN_REQUEST_BYTES`, `modbus/src/server.rs`), 0.76 ms, and a silence of 1.75 ms",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "server::checksum",
         period_us: 8_000.0,
         burst: 2,
         reason: "two of a frame, by its bytes: the longest of 256 takes 24 ms at 115 200 Bd. A third less, because what does not grow with a \
                  frame counts once in the 1.75 ms of its silence as well",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "rmodbus::calc_crc16",
         period_us: 8_000.0,
         burst: 2,
         reason: "as `server::checksum`",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "trueup_store::reference::ReferenceStore<F>::append",
         period_us: 50_000.0,
         burst: 0,
-        reason: "`STORE_PERIOD_MS`, `store/src/rate_limit.rs`; without it where a restart follows",
+        reason: "`MIN_STORE_INTERVAL_MS`, `store/src/rate_limit.rs`; without it where a restart follows",
     },
-    CalledOnceFunction {
+    RateLimitedFunction {
         function: "Supervisor::save_retained_state",
         period_us: 1_000_000.0,
         burst: 0,

@@ -124,7 +124,7 @@ fn compute_longest_paths<W: PathCost>(
 ) -> BTreeMap<usize, W> {
     let is_cut = is_round || !graph.before[entry].iter().any(|from| within.contains(from));
     let parts = if is_cut {
-        loop_analysis::tarjan_components(graph, within, entry)
+        loop_analysis::components_without_back_edges(graph, within, entry)
     } else {
         loop_analysis::strongly_connected_components(graph, within, entry)
     };

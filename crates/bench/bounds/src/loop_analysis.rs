@@ -34,7 +34,7 @@ const FRAME_POINTER: u8 = 7;
 /// Returns the strongly connected components of some blocks, entered by `entry`, without the edges back to it; each before
 /// those that it leads to.
 #[must_use]
-pub(crate) fn tarjan_components(
+pub(crate) fn components_without_back_edges(
     graph: &ControlFlowGraph,
     within: &BTreeSet<usize>,
     entry: usize,
@@ -124,7 +124,7 @@ pub(crate) fn find_loops(graph: &ControlFlowGraph) -> Vec<Loop> {
         // The entry of the function may be a header itself: no edge is taken out for it.
         let entry = header.unwrap_or(usize::MAX);
         let parts = match header {
-            Some(header) => tarjan_components(graph, &within, header),
+            Some(header) => components_without_back_edges(graph, &within, header),
             None => strongly_connected_components(graph, &within, 0),
         };
         for component in parts {
@@ -153,7 +153,7 @@ pub(crate) fn strongly_connected_components(
         let before = graph.before[block].iter().filter(|from| within.contains(from));
         open.extend(before.filter(|from| round.insert(**from)));
     }
-    let parts = tarjan_components(graph, within, entry);
+    let parts = components_without_back_edges(graph, within, entry);
     if round.is_empty() {
         return parts;
     }
@@ -250,11 +250,12 @@ impl ConditionalBranch {
         let block_of = &graph.blocks[block];
         let mut state = starts[block];
         for one in &block_of.instructions {
-            state.execute_conditional_instruction(image, one);
+            state.execute_checking_condition(image, one);
         }
         match *block_of.last_instruction() {
             Instruction { flow: ControlFlow::Jump(_), condition: Some(condition), .. } => {
-                let flags = state.flag_operands().filter(|flags| flags.can_evaluate(condition))?;
+                let flags =
+                    state.flag_operands().filter(|flags| flags.supports_condition(condition))?;
                 Some(Self { flags, condition })
             }
             Instruction {

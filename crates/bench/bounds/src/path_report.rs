@@ -29,7 +29,7 @@ struct PathShare {
 }
 
 /// Returns the longest path of a task on a clock as a table, sorted by the cycles of the functions themselves. Functions that
-/// are counted apart (`CalledOnceFunction`) are named with the cycles of one call.
+/// are counted apart (`RateLimitedFunction`) are named with the cycles of one call.
 ///
 /// # Errors
 /// The app's table cannot be read, or it has no such task.
@@ -50,20 +50,20 @@ pub fn format_longest_path_of_task(
     };
     let entries: Vec<FunctionEntry> =
         all.iter().filter_map(|task| entry_of(&task.interrupt)).collect();
-    program.find_ram_arguments(&entries);
+    program.determine_ram_arguments(&entries);
     let found = all.iter().find(|entry| entry.name == task);
     let found = found.with_context(|| format!("{task}: no such task in src/main.rs"))?;
     let entry = entry_of(&found.interrupt);
     let entry = entry.with_context(|| format!("the image has no {}", found.interrupt))?;
     let waiting = found.bytes.map(|bytes| bytes.waiting);
-    let free: BTreeSet<u32> = program.called_once_functions().into_keys().collect();
-    let (cycles, once) = WcetAnalysis::task_wcet(&program, clock, waiting, entry);
+    let free: BTreeSet<u32> = program.rate_limited_functions().into_keys().collect();
+    let (cycles, once) = WcetAnalysis::compute_task_wcet(&program, clock, waiting, entry);
     let worst = WcetAnalysis::new(&program, clock, waiting).with_zero_cost_functions(free.clone());
     let us = |cycles: u64| cycles as f64 / f64::from(clock.mhz);
     let mut text = format!("{task}, {}: {:.1} µs\n", clock.name, us(cycles));
     write_path_shares(&mut text, image, &profile_longest_path(&worst, entry), us);
     if waiting.is_some() {
-        let within = program.with_bytes_within_line();
+        let within = program.for_bytes_within_line();
         let worst = WcetAnalysis::new(&within, clock, waiting).with_zero_cost_functions(free);
         writeln!(text, "\nwhere no byte ends a line: {:.1} µs", us(worst.function_cycles(entry)))
             .ok();
@@ -72,7 +72,7 @@ pub fn format_longest_path_of_task(
     for (start, (one, cost)) in once {
         writeln!(text, "\napart: {}, {:.1} µs each", function_name(image, start), us(cost)).ok();
         let others = program
-            .called_once_functions()
+            .rate_limited_functions()
             .into_keys()
             .filter(|address| *address != start)
             .collect();

@@ -11,8 +11,8 @@ use crate::{
     control_flow::{self, Call, ControlFlowGraph, find_returning_blocks},
     declaration_lookup::DeclarationLookup,
     declarations::{
-        self, CalibrationSizes, CalledOnceFunction, DeclarationTable, IterationBound,
-        SourceLocation,
+        self, CalibrationSizes, DeclarationTable, IterationBound, RateLimitedFunction,
+        SourcePattern,
     },
     function_entry::{FunctionEntry, KnownArguments},
     image::FirmwareImage,
@@ -65,7 +65,7 @@ impl<'a> Program<'a> {
 
     /// Returns the same for bytes that end no line.
     #[must_use]
-    pub(crate) fn with_bytes_within_line(&self) -> Self {
+    pub(crate) fn for_bytes_within_line(&self) -> Self {
         Self {
             image: self.image,
             declared: self.declared.with_usage_reset(),
@@ -81,7 +81,7 @@ impl<'a> Program<'a> {
 
     /// Finds the arguments that point into the RAM in every call below these functions: all of them, until a call shows
     /// that one does not.
-    pub(crate) fn find_ram_arguments(&self, entries: &[FunctionEntry]) {
+    pub(crate) fn determine_ram_arguments(&self, entries: &[FunctionEntry]) {
         let functions = self.image.functions().map(|function| (function.start, 0b1111));
         self.ram.replace(functions.collect());
         for entry in entries {
@@ -100,9 +100,9 @@ impl<'a> Program<'a> {
                 for (number, calls) in prepared.calls.iter().enumerate() {
                     let mut state = prepared.starts[number];
                     for one in &prepared.graph.blocks[number].instructions {
-                        state.execute_conditional_instruction(self.image, one);
+                        state.execute_checking_condition(self.image, one);
                     }
-                    let is_ram = state.ram_pointer_mask();
+                    let is_ram = state.argument_ram_pointer_mask();
                     for call in calls {
                         let mut ram = self.ram.borrow_mut();
                         let known = ram.entry(call.start).or_insert(0);
@@ -120,7 +120,7 @@ impl<'a> Program<'a> {
 
     /// Returns the functions that a turn calls once, and the microseconds between two calls.
     #[must_use]
-    pub(crate) fn called_once_functions(&self) -> BTreeMap<u32, CalledOnceFunction> {
+    pub(crate) fn rate_limited_functions(&self) -> BTreeMap<u32, RateLimitedFunction> {
         let declared = |name: &str| {
             let mut once = self.declared.table.once.iter();
             once.find(|one| one.function.split('|').any(|part| name.contains(part))).copied()
@@ -160,7 +160,7 @@ impl<'a> Program<'a> {
     }
 
     /// Adds to what is missing.
-    pub(crate) fn report_problem(&self, text: String) {
+    pub(crate) fn record_problem(&self, text: String) {
         self.problems.borrow_mut().insert(text);
     }
 
@@ -237,14 +237,14 @@ impl<'a> Program<'a> {
         let graph = match &*self.control_flow_graph(entry.start) {
             Ok(graph) => graph.clone(),
             Err(error) => {
-                self.report_problem(error.clone());
+                self.record_problem(error.clone());
                 return None;
             }
         };
         self.can_return(entry.start);
         let is_kept = find_returning_blocks(&graph, &|to| self.can_return(to));
         if !is_kept[0] {
-            self.report_problem(format!("{} never comes back", graph.name));
+            self.record_problem(format!("{} never comes back", graph.name));
             return None;
         }
         let mut blocks = graph.blocks;
@@ -259,7 +259,7 @@ impl<'a> Program<'a> {
         }
         let graph = control_flow::subgraph(graph.name, blocks, &is_kept);
         let ram = self.ram.borrow().get(&entry.start).copied().unwrap_or_default() | entry.ram;
-        let mut graph = self.without_excluded_blocks(graph)?;
+        let mut graph = self.remove_excluded_blocks(graph)?;
         let mut starts =
             register_values::compute_block_entry_states(self.image, &graph, entry.arguments, ram);
         // A branch by two numbers has one way.
@@ -278,13 +278,13 @@ impl<'a> Program<'a> {
             .map(|one| self.bound_loop(&graph, &starts, entry.arguments, one))
             .collect();
         let calls = (0..graph.blocks.len())
-            .map(|block| self.called_functions(&graph, &starts, block))
+            .map(|block| self.resolve_called_functions(&graph, &starts, block))
             .collect();
         Some(Rc::new(PreparedFunction { graph, starts, loops, calls }))
     }
 
     /// Leaves out the blocks that the table excludes, and those that lead nowhere else.
-    fn without_excluded_blocks(&self, graph: ControlFlowGraph) -> Option<ControlFlowGraph> {
+    fn remove_excluded_blocks(&self, graph: ControlFlowGraph) -> Option<ControlFlowGraph> {
         let out: Vec<bool> = graph
             .blocks
             .iter()
@@ -295,13 +295,13 @@ impl<'a> Program<'a> {
         }
         let is_in: Vec<bool> = out.iter().map(|value| !value).collect();
         if !is_in[0] {
-            self.report_problem(format!("{} is excluded from its entry on", graph.name));
+            self.record_problem(format!("{} is excluded from its entry on", graph.name));
             return None;
         }
         let graph = control_flow::subgraph(graph.name, graph.blocks, &is_in);
         let is_kept = find_returning_blocks(&graph, &|_| true);
         if !is_kept[0] {
-            self.report_problem(format!(
+            self.record_problem(format!(
                 "{} never returns without the excluded blocks",
                 graph.name
             ));
@@ -327,7 +327,7 @@ impl<'a> Program<'a> {
         let ends = last.map(|block| graph.blocks[*block].last_instruction().at);
         let addresses: Vec<u32> = ends.chain([header]).collect();
         let declared = addresses.iter().find_map(|at| {
-            let spots: Vec<SourceLocation> =
+            let spots: Vec<SourcePattern> =
                 self.declared.table.loops.iter().map(|declaration| declaration.at).collect();
             let number = self.declared.find_declaration_index("loop", &spots, *at, &graph.name)?;
             Some(self.declared.table.loops[number].rounds)
@@ -340,7 +340,7 @@ impl<'a> Program<'a> {
                 arguments,
                 &one,
             );
-            match known.unwrap_or_else(|| self.report_unknown_length(graph)) {
+            match known.unwrap_or_else(|| self.report_unknown_copy_length(graph)) {
                 IterationBound::PerTerm => IterationBound::AtMost(self.sizes.terms),
                 IterationBound::PerTool => IterationBound::AtMost(self.sizes.tools),
                 other => other,
@@ -373,7 +373,7 @@ impl<'a> Program<'a> {
                 let places: Vec<String> =
                     addresses.iter().map(|at| self.declared.format_location(*at)).collect();
                 let places = places.join("\n    or ");
-                self.report_problem(format!(
+                self.record_problem(format!(
                     "loop without a bound in {}, at {header:#x}: {places}",
                     graph.name
                 ));
@@ -382,13 +382,13 @@ impl<'a> Program<'a> {
         }
     }
 
-    fn report_unknown_length(&self, graph: &ControlFlowGraph) -> IterationBound {
-        self.report_problem(format!("{} copies an unknown length", graph.name));
+    fn report_unknown_copy_length(&self, graph: &ControlFlowGraph) -> IterationBound {
+        self.record_problem(format!("{} copies an unknown length", graph.name));
         IterationBound::AtMost(1)
     }
 
     /// Functions that a block calls at its end.
-    fn called_functions(
+    fn resolve_called_functions(
         &self,
         graph: &ControlFlowGraph,
         starts: &[RegisterState],
@@ -398,7 +398,7 @@ impl<'a> Program<'a> {
         let Some(call) = &block.call else { return Vec::new() };
         let mut state = starts[number];
         for one in &block.instructions {
-            state.execute_conditional_instruction(self.image, one);
+            state.execute_checking_condition(self.image, one);
         }
         let at = block.last_instruction().at;
         let targets: Vec<u32> = match call {
@@ -407,18 +407,18 @@ impl<'a> Program<'a> {
                 let known = state.register_value(*register).as_constant().map(|at| at & !1);
                 match known.and_then(|at| self.image.function_at(at)) {
                     Some(function) => vec![function.start],
-                    None => self.declared_call_targets(graph, at),
+                    None => self.find_declared_call_targets(graph, at),
                 }
             }
         };
         let back = targets.into_iter().filter(|to| self.can_return(*to));
         back.flat_map(|start| {
-            let arguments = self.call_arguments(graph, &state, start, at);
+            let arguments = self.resolve_call_arguments(graph, &state, start, at);
             // One that is copied in many places reads the flash in some of them, and the RAM in others.
             let is_by_length =
                 declarations::length_argument_index(self.function_name(start)).is_some();
-            let ram = if is_by_length { state.ram_pointer_mask() } else { 0 };
-            self.copy_alignment_cases(start, arguments).map(move |arguments| FunctionEntry {
+            let ram = if is_by_length { state.argument_ram_pointer_mask() } else { 0 };
+            self.copy_direction_cases(start, arguments).map(move |arguments| FunctionEntry {
                 start,
                 arguments,
                 ram,
@@ -427,12 +427,12 @@ impl<'a> Program<'a> {
         .collect()
     }
 
-    fn declared_call_targets(&self, graph: &ControlFlowGraph, at: u32) -> Vec<u32> {
-        let spots: Vec<SourceLocation> =
+    fn find_declared_call_targets(&self, graph: &ControlFlowGraph, at: u32) -> Vec<u32> {
+        let spots: Vec<SourcePattern> =
             self.declared.table.calls.iter().map(|declaration| declaration.at).collect();
         let Some(number) = self.declared.find_declaration_index("call", &spots, at, &graph.name)
         else {
-            self.report_problem(format!(
+            self.record_problem(format!(
                 "call by register in {}, at {at:#x}: {}",
                 graph.name,
                 self.declared.format_location(at)
@@ -450,7 +450,7 @@ impl<'a> Program<'a> {
 
     /// Of a copy from and to whole words the addresses change nothing but the direction: two are tried for all, both read
     /// from the flash.
-    fn copy_alignment_cases(
+    fn copy_direction_cases(
         &self,
         start: u32,
         arguments: KnownArguments,
@@ -470,7 +470,7 @@ impl<'a> Program<'a> {
         tried.into_iter().take(if is_aligned { 2 } else { 1 })
     }
 
-    fn call_arguments(
+    fn resolve_call_arguments(
         &self,
         graph: &ControlFlowGraph,
         state: &RegisterState,
@@ -483,11 +483,11 @@ impl<'a> Program<'a> {
         let mut arguments: KnownArguments =
             std::array::from_fn(|register| state.register_value(register as u8).as_constant());
         if arguments[length].is_none() {
-            let spots: Vec<SourceLocation> =
+            let spots: Vec<SourcePattern> =
                 self.declared.table.copies.iter().map(|declaration| declaration.at).collect();
             match self.declared.find_declaration_index("copy", &spots, at, &graph.name) {
                 Some(number) => arguments[length] = Some(self.declared.table.copies[number].bytes),
-                None => self.report_problem(format!(
+                None => self.record_problem(format!(
                     "copy of an unknown length in {}, at {at:#x}: {}",
                     graph.name,
                     self.declared.format_location(at)

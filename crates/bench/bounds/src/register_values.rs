@@ -48,7 +48,7 @@ impl SymbolicValue {
 
     /// Returns the address of a unit of the chip, if the value is not far behind one.
     #[must_use]
-    pub(crate) fn peripheral_address(self) -> Option<u32> {
+    pub(crate) fn peripheral_base_address(self) -> Option<u32> {
         match self.base {
             SymbolicBase::Unit(unit) => Some(unit),
             _ => None,
@@ -82,7 +82,7 @@ impl FlagOperands {
 
     /// Returns whether a condition says something about the two operands.
     #[must_use]
-    pub(crate) fn can_evaluate(&self, condition: u8) -> bool {
+    pub(crate) fn supports_condition(&self, condition: u8) -> bool {
         !self.is_partial || matches!(condition, 0 | 1 | 4 | 5)
     }
 
@@ -90,7 +90,7 @@ impl FlagOperands {
     #[must_use]
     pub(crate) fn evaluate_condition(&self, condition: u8) -> Option<bool> {
         let both = self.left.as_constant().zip(self.right.as_constant());
-        let both = both.filter(|_| self.can_evaluate(condition));
+        let both = both.filter(|_| self.supports_condition(condition));
         both.map(|(x, y)| is_condition_met(condition, x, y, self.is_sum))
     }
 }
@@ -120,7 +120,7 @@ impl RegisterState {
 
     /// Returns which of the first four registers point into the RAM, a bit each.
     #[must_use]
-    pub(crate) fn ram_pointer_mask(&self) -> u16 {
+    pub(crate) fn argument_ram_pointer_mask(&self) -> u16 {
         (0..4).fold(0, |bits, register| bits | u16::from(self.is_ram_pointer(register)) << register)
     }
 
@@ -142,11 +142,7 @@ impl RegisterState {
     }
 
     /// An instruction is done, if its condition holds.
-    pub(crate) fn execute_conditional_instruction(
-        &mut self,
-        image: &FirmwareImage,
-        one: &Instruction,
-    ) {
+    pub(crate) fn execute_checking_condition(&mut self, image: &FirmwareImage, one: &Instruction) {
         let is_in_block = one.condition.is_some() && !matches!(one.flow, ControlFlow::Jump(_));
         let condition_holds = self
             .flags
@@ -325,7 +321,7 @@ fn is_peripheral_address(address: u32) -> bool {
 }
 
 /// How often a block may be looked at until a value that stays through a loop counts as unknown there.
-const MAX_BLOCK_VISITS: u32 = 64;
+const VISITS_BEFORE_WIDENING: u32 = 64;
 
 /// Returns the values at the start of each block.
 ///
@@ -338,7 +334,7 @@ pub(crate) fn compute_block_entry_states(
     arguments: [Option<u32>; 4],
     ram: u16,
 ) -> Vec<RegisterState> {
-    let order = reverse_postorder(graph);
+    let order = reverse_postorder_numbers(graph);
     let count = graph.blocks.len();
     let (mut starts, mut ends): (Vec<Option<RegisterState>>, Vec<Option<RegisterState>>) =
         (vec![None; count], vec![None; count]);
@@ -352,7 +348,7 @@ pub(crate) fn compute_block_entry_states(
         if number == 0 {
             all.push(entry);
         }
-        let old = starts[number].filter(|_| looked[number] < MAX_BLOCK_VISITS);
+        let old = starts[number].filter(|_| looked[number] < VISITS_BEFORE_WIDENING);
         let state = meet_states(&all, old.as_ref(), starts[number].as_ref(), number);
         starts[number] = Some(state);
         let mut end = state;
@@ -366,7 +362,7 @@ pub(crate) fn compute_block_entry_states(
 }
 
 /// The place of each block in an order in which loops alone lead back.
-fn reverse_postorder(graph: &ControlFlowGraph) -> Vec<usize> {
+fn reverse_postorder_numbers(graph: &ControlFlowGraph) -> Vec<usize> {
     let (mut order, mut seen) = (vec![0; graph.blocks.len()], vec![false; graph.blocks.len()]);
     let mut next = graph.blocks.len();
     let mut stack = vec![(0, 0)];
@@ -397,10 +393,10 @@ pub(crate) fn execute_block(
 ) {
     let block = &graph.blocks[number];
     for one in &block.instructions {
-        state.execute_conditional_instruction(image, one);
+        state.execute_checking_condition(image, one);
     }
     if block.call.is_some() {
-        state.execute_conditional_instruction(
+        state.execute_checking_condition(
             image,
             &Instruction::call_clobbers(block.last_instruction().at),
         );

@@ -11,7 +11,7 @@ use crate::{
     clock_configuration::{CLOCK_CONFIGURATIONS, ClockConfiguration},
     critical_sections::{CriticalSection, CriticalSectionAnalysis},
     declarations::{CalibrationSizes, DeclarationTable},
-    flow_facts::FLASH_PROGRAM_STALL_US,
+    flow_facts::MAX_FLASH_PROGRAM_STALL_US,
     function_entry::FunctionEntry,
     image::FirmwareImage,
     program::Program,
@@ -92,13 +92,13 @@ pub fn compute_timing_bounds(
     let all_tasks = tasks::parse_tasks(app)?;
     let functions = all_tasks.iter().filter_map(|task| image.function_by_symbol(&task.interrupt));
     let entries = functions.map(|function| FunctionEntry::new(function.start));
-    program.find_ram_arguments(&entries.collect::<Vec<_>>());
+    program.determine_ram_arguments(&entries.collect::<Vec<_>>());
     let (mut all, mut shares) = (Vec::new(), Vec::new());
     for clock in CLOCK_CONFIGURATIONS {
         let tasks: Vec<Task> =
             all_tasks.iter().filter(|task| task.is_active_at(clock.mhz)).cloned().collect();
         let exceptions = exception_numbers(image, &tasks)?;
-        let (loads, turns) = task_loads(&program, image, &tasks, clock)?;
+        let (loads, turns) = compute_task_loads(&program, image, &tasks, clock)?;
         shares.extend(loads.iter().map(|load| LoadShare {
             clock: clock.name,
             name: load.name.clone(),
@@ -120,7 +120,8 @@ pub fn compute_timing_bounds(
                 .map(us)
             };
             let mut stalled = loads.clone();
-            stalled[number].blocking = stalled[number].blocking.max(cycles(FLASH_PROGRAM_STALL_US));
+            stalled[number].blocking =
+                stalled[number].blocking.max(cycles(MAX_FLASH_PROGRAM_STALL_US));
             TaskBounds {
                 task: task.name.clone(),
                 clock: clock.name,
@@ -156,7 +157,7 @@ fn exception_numbers(image: &FirmwareImage, tasks: &[Task]) -> Result<Vec<u32>> 
 }
 
 /// Functions that share a rate, as a load.
-struct RatedLoad {
+struct SharedRateLoad {
     load: TaskLoad,
     /// Their addresses.
     starts: BTreeSet<u32>,
@@ -164,20 +165,20 @@ struct RatedLoad {
 
 /// The tasks in cycles on a clock, and behind them the functions that are called once in a while, as tasks of their own;
 /// the longest turn of each task.
-fn task_loads(
+fn compute_task_loads(
     program: &Program<'_>,
     image: &FirmwareImage,
     tasks: &[Task],
     clock: ClockConfiguration,
 ) -> Result<(Vec<TaskLoad>, Vec<u64>)> {
-    let for_bytes_within_line = program.with_bytes_within_line();
+    let for_bytes_within_line = program.for_bytes_within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
     let (mut entries, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
     // By the declaration: functions of the same one share its rate.
-    let mut seldom: BTreeMap<&'static str, RatedLoad> = BTreeMap::new();
+    let mut seldom: BTreeMap<&'static str, SharedRateLoad> = BTreeMap::new();
     let mut sections: BTreeMap<(FunctionEntry, BTreeSet<u32>), Vec<CriticalSection>> =
         BTreeMap::new();
-    let rates = program.called_once_functions();
+    let rates = program.rate_limited_functions();
     for task in tasks {
         let function = image.function_by_symbol(&task.interrupt);
         let function = function.with_context(|| {
@@ -185,10 +186,10 @@ fn task_loads(
         })?;
         let entry = FunctionEntry::new(function.start);
         let waiting = task.bytes.map(|bytes| bytes.waiting);
-        let (whole, once) = WcetAnalysis::task_wcet(program, clock, waiting, entry);
-        let costs = task
-            .bytes
-            .map(|bytes| byte_costs([&for_bytes_within_line, program], clock, bytes, entry));
+        let (whole, once) = WcetAnalysis::compute_task_wcet(program, clock, waiting, entry);
+        let costs = task.bytes.map(|bytes| {
+            compute_byte_costs([&for_bytes_within_line, program], clock, bytes, entry)
+        });
         let costs = costs.unwrap_or(ByteCosts { empty: whole, each: 0, line_end: 0 });
         let ByteCosts { empty, each, line_end } = costs;
         entries.push((entry, waiting));
@@ -219,7 +220,7 @@ fn task_loads(
             let own = TaskLoad { name, period, burst, empty: cost, ..bytes };
             let known = seldom
                 .entry(once.function)
-                .or_insert_with(|| RatedLoad { load: own.clone(), starts: BTreeSet::new() });
+                .or_insert_with(|| SharedRateLoad { load: own.clone(), starts: BTreeSet::new() });
             known.starts.insert(start);
             if cost > known.load.empty {
                 (known.load.empty, known.load.name) = (cost, own.name);
@@ -274,14 +275,15 @@ struct ByteCosts {
 }
 
 /// Returns the costs of a task by the bytes that it finds; `programs`: where no byte ends a line, and where each does.
-fn byte_costs(
+fn compute_byte_costs(
     programs: [&Program<'_>; 2],
     clock: ClockConfiguration,
     bytes: ByteArrivals,
     entry: FunctionEntry,
 ) -> ByteCosts {
     let [within, ending] = programs.map(|program| -> Vec<u64> {
-        let of = |count| WcetAnalysis::unrated_cycles(program, clock, Some(count), entry);
+        let of =
+            |count| WcetAnalysis::cycles_without_once_calls(program, clock, Some(count), entry);
         (0..=bytes.waiting).map(of).collect()
     });
     // Where there are no lines, each byte is as any other.

@@ -58,26 +58,26 @@ impl<'a> WcetAnalysis<'a> {
 
     /// Returns the cycles of a turn of a task without the functions that it calls once.
     #[must_use]
-    pub(crate) fn unrated_cycles(
+    pub(crate) fn cycles_without_once_calls(
         program: &'a Program<'a>,
         clock: ClockConfiguration,
         waiting: Option<u32>,
         entry: FunctionEntry,
     ) -> u64 {
-        let once: BTreeSet<u32> = program.called_once_functions().into_keys().collect();
+        let once: BTreeSet<u32> = program.rate_limited_functions().into_keys().collect();
         Self::new(program, clock, waiting).with_zero_cost_functions(once).function_cycles(entry)
     }
 
     /// Returns the cycles of a turn of a task without the functions that it calls once, and those of each of these, with the
     /// arguments that take the longest. One that another calls is counted for itself.
     #[must_use]
-    pub(crate) fn task_wcet(
+    pub(crate) fn compute_task_wcet(
         program: &'a Program<'a>,
         clock: ClockConfiguration,
         waiting: Option<u32>,
         entry: FunctionEntry,
     ) -> (u64, BTreeMap<u32, (FunctionEntry, u64)>) {
-        let once: BTreeSet<u32> = program.called_once_functions().into_keys().collect();
+        let once: BTreeSet<u32> = program.rate_limited_functions().into_keys().collect();
         let plain = Self::new(program, clock, waiting).with_zero_cost_functions(once.clone());
         let cycles = plain.function_cycles(entry);
         let mut open = plain.asked.take();
@@ -113,11 +113,11 @@ impl<'a> WcetAnalysis<'a> {
         let Some(prepared) = self.program.prepare_function(entry) else { return 0 };
         if self.above.borrow().iter().any(|above| above.start == entry.start) {
             self.program
-                .report_problem(format!("{} calls itself, in a circle", prepared.graph.name));
+                .record_problem(format!("{} calls itself, in a circle", prepared.graph.name));
             return 0;
         }
         self.above.borrow_mut().push(entry);
-        let priced = self.function_costs(&prepared);
+        let priced = self.compute_function_costs(&prepared);
         let within: BTreeSet<usize> = (0..prepared.graph.blocks.len()).collect();
         let longest: u64 =
             longest_path_to_return(&prepared, &priced.with_cache_state(is_kept), &within);
@@ -132,7 +132,7 @@ impl<'a> WcetAnalysis<'a> {
         let cycles = self.compute_function_cycles(entry, is_kept);
         let prepared =
             self.program.prepare_function(entry).filter(|_| !self.free.contains(&entry.start))?;
-        let priced = self.function_costs(&prepared).with_cache_state(is_kept);
+        let priced = self.compute_function_costs(&prepared).with_cache_state(is_kept);
         let within: BTreeSet<usize> = (0..prepared.graph.blocks.len()).collect();
         let way: TracedPath = longest_path_to_return(&prepared, &priced, &within);
         let (mut calls, mut own) = (BTreeMap::new(), cycles);
@@ -187,7 +187,7 @@ impl<'a> WcetAnalysis<'a> {
 
     /// Returns the prices of the blocks of a function.
     #[must_use]
-    pub(crate) fn function_costs(&self, prepared: &Rc<PreparedFunction>) -> FunctionCosts {
+    pub(crate) fn compute_function_costs(&self, prepared: &Rc<PreparedFunction>) -> FunctionCosts {
         let count = prepared.graph.blocks.len();
         let of = |is_kept| {
             (0..count).map(|block| self.compute_block_cycles(prepared, block, is_kept)).collect()
@@ -207,7 +207,7 @@ impl<'a> WcetAnalysis<'a> {
                 IterationBound::PerWaitingByte => {
                     IterationBound::AtMost(self.waiting.unwrap_or_else(|| {
                         let name = &prepared.graph.name;
-                        self.program.report_problem(format!(
+                        self.program.record_problem(format!(
                             "{name} has a round for each byte that waits, and its task says none"
                         ));
                         0
@@ -258,15 +258,15 @@ impl<'a> WcetAnalysis<'a> {
                             value if value.as_constant().is_some() => {
                                 Some(value.offset.wrapping_add(offset))
                             }
-                            value => value.peripheral_address(),
+                            value => value.peripheral_base_address(),
                         }
                     }
                     AddressingMode::RegisterOffset(base, other) => {
                         let (a, b) = (state.register_value(base), state.register_value(other));
                         let sum = a.as_constant().zip(b.as_constant());
                         sum.map(|(a, b)| a.wrapping_add(b))
-                            .or(a.peripheral_address())
-                            .or(b.peripheral_address())
+                            .or(a.peripheral_base_address())
+                            .or(b.peripheral_base_address())
                     }
                 };
                 let is_ram = match access.at {
@@ -278,7 +278,7 @@ impl<'a> WcetAnalysis<'a> {
                 };
                 cycles += u64::from(self.clock.access_wait_cycles(access, address, is_ram));
             }
-            state.execute_conditional_instruction(self.program.image, one);
+            state.execute_checking_condition(self.program.image, one);
         }
         let calls = prepared.calls[number]
             .iter()

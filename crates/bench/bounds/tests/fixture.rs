@@ -5,7 +5,7 @@ use trueup_bounds::{
     clock_configuration::{CLOCK_CONFIGURATIONS, ClockConfiguration},
     critical_sections::CriticalSectionAnalysis,
     declarations::{
-        CalibrationSizes, CallTargets, DeclarationTable, IterationBound, LoopBound, SourceLocation,
+        CalibrationSizes, CallTargets, DeclarationTable, IterationBound, LoopBound, SourcePattern,
     },
     function_entry::FunctionEntry,
     image::FirmwareImage,
@@ -80,7 +80,7 @@ fn a_loop_without_a_bound_is_named_unless_the_table_has_it() {
     assert_eq!(problems.len(), 1, "{problems:?}");
     assert!(problems[0].starts_with("loop without a bound in first, at 0x8000000"), "{problems:?}");
     const DECLARED: &[LoopBound] = &[LoopBound {
-        at: SourceLocation { function: "first", line: "" },
+        at: SourcePattern { function: "first", line: "" },
         rounds: IterationBound::AtMost(10),
         reason: "the unit answers within ten polls",
     }];
@@ -105,7 +105,7 @@ fn loops_that_count_are_bounded_by_their_code() {
 
 /// Returns the worst case of a function whose loops are declared, with the length 40 as its third argument.
 fn declared(code: &[u16], rounds: IterationBound) -> u64 {
-    let at = SourceLocation { function: "first", line: "" };
+    let at = SourcePattern { function: "first", line: "" };
     let loops = Box::leak(Box::new([LoopBound { at, rounds, reason: "of a test" }]));
     let table = DeclarationTable { loops, ..DeclarationTable::default() };
     let (cycles, problems) = worst_of(&[code], [None, None, Some(40), None], &table, SLOW);
@@ -153,7 +153,7 @@ fn calls_that_lead_nowhere_and_circles_are_named() {
     let (_, problems) = worst(&[BY_REGISTER, COUNTS], &DeclarationTable::default(), SLOW);
     assert!(problems[0].starts_with("call by register in first, at 0x8000002"), "{problems:?}");
     const DECLARED: &[CallTargets] = &[CallTargets {
-        at: SourceLocation { function: "first", line: "" },
+        at: SourcePattern { function: "first", line: "" },
         functions: &["second"],
         reason: "its only caller says so",
     }];

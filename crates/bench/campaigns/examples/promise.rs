@@ -11,7 +11,7 @@
 
 use std::{env, path::Path};
 
-use trueup_campaigns::hidden_effects::{HiddenCause, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw_test_case};
 use trueup_diagnose::{diagnose, report::DiagnosisReport};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_numerics::robust::median;
@@ -43,7 +43,7 @@ fn main() {
 }
 
 fn evaluate_promise(cause: HiddenCause, ratio: f64, seed: u64) -> Option<PromiseOutcome> {
-    let challenge = draw(cause, ratio, seed);
+    let challenge = draw_test_case(cause, ratio, seed);
     let read = |text: &String| {
         RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("the twin's own file")
     };

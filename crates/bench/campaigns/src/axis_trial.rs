@@ -152,7 +152,7 @@ impl AxisTrial {
                 table.push_value("x_mm", 3, at_mm);
                 table.push_value("dir_x", 0, direction);
                 table.push_value("feed_mm_per_min", 0, feed);
-                for (name, celsius) in machine.temperatures_c() {
+                for (name, celsius) in machine.read_temperatures_c() {
                     table.push_value(name, 2, celsius);
                 }
                 table.push_value(

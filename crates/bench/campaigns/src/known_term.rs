@@ -7,11 +7,12 @@
 use std::fmt::Write as _;
 
 use crate::hidden_effects::{
-    ExpectedDiagnosis, HiddenCause, HiddenEffect, TestCase, draw, draw_pair,
+    ExpectedDiagnosis, HiddenCause, HiddenEffect, TestCase, draw_test_case,
+    draw_test_case_with_cause_pair,
 };
 
 /// Returns the causes that the file may have: those with a name whose term a board corrects.
-pub fn known_causes() -> impl Iterator<Item = HiddenCause> {
+pub fn compensated_causes() -> impl Iterator<Item = HiddenCause> {
     let is_a_term = |cause: &HiddenCause| {
         cause.expected_diagnosis() == ExpectedDiagnosis::Compensated
             && cause.name() == cause.expected_name()
@@ -29,7 +30,7 @@ pub fn known_and_new_cause_pairs() -> Vec<(HiddenCause, HiddenCause)> {
         )
     };
     let all = || HiddenCause::ALL.iter().filter(is_named).copied();
-    known_causes()
+    compensated_causes()
         .flat_map(|a| all().map(move |b| (a, b)))
         .filter(|(a, b)| a.is_compatible_with(*b))
         .collect()
@@ -44,7 +45,7 @@ pub fn draw_test_case_with_known_term(
     ratio: f64,
     seed: u64,
 ) -> Option<TestCase> {
-    let mut challenge = draw_pair(known, new, ratio, seed)?;
+    let mut challenge = draw_test_case_with_cause_pair(known, new, ratio, seed)?;
     let [a, b] = &challenge.truth.effects[..] else { return None };
     let (a, b) = (a.clone(), b.clone());
     challenge.machine += &format_term(&a, &challenge);
@@ -62,7 +63,7 @@ pub fn draw_test_case_with_known_term(
 /// in the file is about `ratio` times the noise.
 #[must_use]
 pub fn draw_test_case_with_changed_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
-    let mut challenge = draw(cause, 2.0 * ratio, seed);
+    let mut challenge = draw_test_case(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
     halve_effect_parameters(&mut old, &challenge);
     challenge.machine += &format_term(&old, &challenge);

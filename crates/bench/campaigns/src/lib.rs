@@ -2,7 +2,7 @@
 //! scored.
 //!
 //! As the virtual machine tool (`trueup-twin`), the drawing shares no code with what is tried on it: [`score`] alone knows
-//! the diagnosis, and the model of a machine file serves only [`faulty_machine`] and [`run_table`], as its user's belief.
+//! the diagnosis, and the model of a machine file serves only [`faulty_machine`] and [`run_file`], as its user's belief.
 //!
 //! | module | does |
 //! |---|---|
@@ -15,12 +15,12 @@
 //! | [`axis_trial`] | an axis of the same kind |
 //! | [`simulated_month`] | a month of a machine that ages, with a probe now and then |
 //! | [`simulated_year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
-//! | [`run_table`] | runs with columns or readings changed |
+//! | [`run_file`] | runs with columns or readings changed |
 //! | [`score`] | the score of an answer to a drawn case |
 //!
 //! # A challenge
 //! ```
-//! use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, draw};
+//! use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, draw_test_case};
 //! // Thermal lag, three times as large as the noise, by seed 7.
 //! let challenge = draw(HiddenCause::ThermalLag, 3.0, 7);
 //! assert!(challenge.runs[0].starts_with("time_s,")); // run files, to train on
@@ -31,7 +31,7 @@
 //! assert_eq!(challenge.truth.expected, ExpectedDiagnosis::Compensated);
 //! // The hold-out, and how much better it can become at best.
 //! assert!(challenge.holdout.lines().count() > 150);
-//! assert!(challenge.truth.max_achievable_reduction() > 0.3);
+//! assert!(challenge.truth.max_holdout_rms_reduction() > 0.3);
 //! ```
 #![forbid(unsafe_code)]
 
@@ -42,7 +42,7 @@ pub mod input_dependence;
 pub mod known_term;
 mod orthogonal_component;
 pub mod physical_faults;
-pub mod run_table;
+pub mod run_file;
 pub mod score;
 pub mod simulated_month;
 pub mod simulated_year;

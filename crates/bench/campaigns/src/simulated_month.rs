@@ -165,8 +165,8 @@ fn simulate_day(
         let turning_rpm = if is_off { 0.0 } else { rpm };
         let ambient_c = air_c + 1.5 * (minute as f64 / 600.0 * std::f64::consts::PI).sin();
         let load = (turning_rpm / RATED_SPEED_RPM).powf(1.2);
-        step_first_order_lag(&mut front_c, ambient_c + truth.heat_c * load, 2400.0);
-        step_first_order_lag(&mut column_c, ambient_c + 12.0 * load, 5400.0);
+        step_lag_by_one_minute(&mut front_c, ambient_c + truth.heat_c * load, 2400.0);
+        step_lag_by_one_minute(&mut column_c, ambient_c + 12.0 * load, 5400.0);
         let wandered_um = wander.draw_correlated((-60.0_f64 / 3600.0).exp());
         if is_off {
             continue;
@@ -208,6 +208,6 @@ fn simulate_day(
 }
 
 /// A minute on the way to `to`, with this time constant in s.
-fn step_first_order_lag(value: &mut f64, to: f64, constant_s: f64) {
+fn step_lag_by_one_minute(value: &mut f64, to: f64, constant_s: f64) {
     *value = to + (*value - to) * (-60.0 / constant_s).exp();
 }

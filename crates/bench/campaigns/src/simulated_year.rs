@@ -105,15 +105,12 @@ pub fn simulate_year_with_outliers(
     let part = 1.0 + stream.random_sign() * stream.uniform(0.2, 0.3);
     let shown = stream.uniform(0.7, 0.8);
     let step_um = stream.random_sign() * stream.uniform(12.0, 20.0);
-    let days_at = [
-        stream.uniform_integer(55, 100),
-        stream.uniform_integer(140, 190),
-        stream.uniform_integer(235, 285),
-    ];
+    let days_at =
+        [(55, 100), (140, 190), (235, 285)].map(|(from, to)| stream.uniform_integer(from, to));
     let at = days_at.map(|day| day as f64 * SECONDS_PER_DAY);
     let mut year = SimulatedYear {
-        machine: machine_file(kind),
-        quantity: if kind == MachineKind::Spindle { "elongation" } else { "dx" },
+        machine: machine_file_toml(kind),
+        quantity: if is_spindle { "elongation" } else { "dx" },
         days: Vec::new(),
         events: Vec::new(),
     };
@@ -132,8 +129,8 @@ pub fn simulate_year_with_outliers(
         let mut load = 0.5;
         for row in 0..ROWS_PER_DAY {
             let time_s = day as f64 * SECONDS_PER_DAY + 7.0 * 3600.0 + row as f64 * ROW_INTERVAL_S;
-            let air_c =
-                hall_c + 1.5 * (row as f64 / ROWS_PER_DAY as f64 * std::f64::consts::PI).sin();
+            let past_day = row as f64 / ROWS_PER_DAY as f64;
+            let air_c = hall_c + 1.5 * (past_day * std::f64::consts::PI).sin();
             if row % 6 == 0 {
                 load = if stream.bernoulli(0.15) { 0.0 } else { stream.uniform(0.3, 1.0) };
             }
@@ -156,7 +153,8 @@ pub fn simulate_year_with_outliers(
                         + COLUMN_EXPANSION_UM_PER_C * (column - 20.0)
                 }
                 MachineKind::Axis => {
-                    [x_mm, direction] = draw_axis_position(&mut stream, probed.contains(&row));
+                    let is_probed = probed.contains(&row);
+                    [x_mm, direction] = draw_position_and_direction(&mut stream, is_probed);
                     let worn = if happens.events { past } else { 0.0 };
                     part * SCREW_EXPANSION_UM_PER_M_PER_C * (hot_c - 20.0) * x_mm / 1000.0
                         + backlash_um(direction, worn)
@@ -169,9 +167,11 @@ pub fn simulate_year_with_outliers(
                 read_um = simulate_reading(um + zero_um + drift_um, &mut probe, bad);
                 let warm_c = lagged_c.unwrap_or(hot_c);
                 let effects = event_effects_um(kind, x_mm, [warm_c, air_c], [part, shown, step_um]);
-                let events = year.events.iter_mut().zip(days_at).zip(effects);
-                for ((event, _), effect_um) in events.filter(|((_, since), _)| day >= *since) {
-                    event.effect_um.push(effect_um);
+                for ((event, since), effect_um) in year.events.iter_mut().zip(days_at).zip(effects)
+                {
+                    if day >= since {
+                        event.effect_um.push(effect_um);
+                    }
                 }
             }
             let mut check_um = f64::NAN;
@@ -194,7 +194,7 @@ pub fn simulate_year_with_outliers(
 }
 
 /// Draws the position in mm at which an axis is read, and the direction from which it comes.
-fn draw_axis_position(stream: &mut RandomStream, is_probed: bool) -> [f64; 2] {
+fn draw_position_and_direction(stream: &mut RandomStream, is_probed: bool) -> [f64; 2] {
     // The probe's references stand at two places; work is anywhere.
     let anywhere = (stream.uniform(0.0, 1000.0) / 10.0).round() * 10.0;
     let x_mm = if is_probed { stream.choose(&[400.0, 900.0]) } else { anywhere };
@@ -262,7 +262,7 @@ fn push_input_values(
     }
 }
 
-fn machine_file(kind: MachineKind) -> String {
+fn machine_file_toml(kind: MachineKind) -> String {
     match kind {
         MachineKind::Spindle => format!(
             "[machine]\nname = \"year\"\nserial = \"S1\"\nkind = \"3-axis\"\n\n[spindle]\nsource = \"temperature\"\n\n\

@@ -81,7 +81,7 @@ impl SpindleTrial {
 
     /// Returns the record (CSV) of the morning `day`: pieces of this many r/min for this many minutes.
     #[must_use]
-    pub fn run(&self, pieces: &[(f64, f64)], day: u64) -> String {
+    pub fn simulate_day(&self, pieces: &[(f64, f64)], day: u64) -> String {
         let mut gauge = RandomStream::new(self.seed, &format!("trial gauge {day}"));
         let wander_stream = RandomStream::new(self.seed, &format!("trial wander {day}"));
         let mut wander = CorrelatedNoise::new(wander_stream, 0.1, 0.0);

@@ -7,7 +7,7 @@
 use std::{fmt::Write as _, fs, path::Path};
 
 use trueup_campaigns::hidden_effects::{
-    DISTINGUISHABLE_PAIRS, HiddenCause, TestCase, draw, draw_pair,
+    DISTINGUISHABLE_PAIRS, HiddenCause, TestCase, draw_test_case, draw_test_case_with_cause_pair,
 };
 use trueup_twin::{Scenario, simulate};
 
@@ -34,11 +34,13 @@ fn all() -> String {
         text.push('\n');
     };
     for &cause in HiddenCause::ALL {
-        line(cause.name(), &|ratio, seed| draw(cause, ratio, seed));
+        line(cause.name(), &|ratio, seed| draw_test_case(cause, ratio, seed));
     }
     for &(first, second) in DISTINGUISHABLE_PAIRS {
         let name = format!("{}+{}", first.name(), second.name());
-        line(&name, &|ratio, seed| draw_pair(first, second, ratio, seed).expect("a listed pair"));
+        line(&name, &|ratio, seed| {
+            draw_test_case_with_cause_pair(first, second, ratio, seed).expect("a listed pair")
+        });
     }
     for name in ["scenario-axis.toml", "scenario-warmup.toml"] {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../data").join(name);

@@ -3,7 +3,8 @@
 use std::time::Instant;
 
 use trueup_campaigns::hidden_effects::{
-    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw_test_case,
+    draw_test_case_with_cause_pair,
 };
 
 /// Returns the named column of a run file of numbers; NaN where a cell is empty.
@@ -36,11 +37,11 @@ fn about_mean(values: &[f64]) -> Vec<f64> {
 #[test]
 fn a_seed_repeats_to_the_byte_and_another_one_differs() {
     for &cause in HiddenCause::ALL {
-        let first = draw(cause, 3.0, 11);
-        let again = draw(cause, 3.0, 11);
+        let first = draw_test_case(cause, 3.0, 11);
+        let again = draw_test_case(cause, 3.0, 11);
         assert!(first.runs == again.runs && first.holdout == again.holdout, "{}", cause.name());
         assert!(first.machine == again.machine && first.truth.effects == again.truth.effects);
-        assert!(first.runs != draw(cause, 3.0, 12).runs, "{}", cause.name());
+        assert!(first.runs != draw_test_case(cause, 3.0, 12).runs, "{}", cause.name());
     }
 }
 
@@ -52,7 +53,7 @@ fn the_effect_over_the_noise_is_the_ratio_that_was_asked_for() {
             continue;
         }
         for (seed, ratio) in [(1, 0.5), (2, 1.0), (3, 3.0), (4, 10.0)] {
-            let challenge = draw(cause, ratio, seed);
+            let challenge = draw_test_case(cause, ratio, seed);
             let truth = &challenge.truth;
             // From the files, not from what the truth says of itself.
             let left: Vec<f64> = measured(&challenge)
@@ -82,7 +83,7 @@ fn runs_have_the_lengths_that_users_have() {
     let (mut least, mut most) = (usize::MAX, 0);
     for &cause in HiddenCause::ALL {
         for seed in 0..6 {
-            let challenge = draw(cause, 3.0, seed);
+            let challenge = draw_test_case(cause, 3.0, seed);
             let rows = measured(&challenge).len();
             assert_eq!(rows, challenge.truth.effect_um.len().max(rows));
             (least, most) = (least.min(rows), most.max(rows));
@@ -103,7 +104,8 @@ fn what_can_be_compensated_can_be_gained_on_the_hold_out() {
         if cause.expected_diagnosis() != ExpectedDiagnosis::Compensated {
             continue;
         }
-        let gains = (0..8).map(|seed| draw(cause, 5.0, seed).truth.max_achievable_reduction());
+        let gains =
+            (0..8).map(|seed| draw_test_case(cause, 5.0, seed).truth.max_holdout_rms_reduction());
         let least = gains.fold(f64::MAX, f64::min);
         println!("{:28} {least:.3}", cause.name());
         assert!(least > 0.3, "{}: {least}", cause.name());
@@ -114,26 +116,26 @@ fn what_can_be_compensated_can_be_gained_on_the_hold_out() {
 #[test]
 fn the_parameters_are_those_of_the_effect() {
     for seed in 0..5 {
-        let challenge = draw(HiddenCause::SensorGain, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::SensorGain, 3.0, seed);
         let gain = challenge.truth.effects[0].parameter("gain").expect("a gain");
         for (p, effect) in challenge.truth.believed_um.iter().zip(&challenge.truth.effect_um) {
             assert!((gain * p - p - effect).abs() < 1e-9);
         }
-        let challenge = draw(HiddenCause::CuttingLoad, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::CuttingLoad, 3.0, seed);
         let c = challenge.truth.effects[0].parameter("um_per_n").expect("a compliance");
         assert!(c > 0.0);
         let load: Vec<f64> = challenge.runs.iter().flat_map(|r| column(r, "load_n")).collect();
         for (load, effect) in load.iter().zip(&challenge.truth.effect_um) {
             assert!((-c * load - effect).abs() < 1e-9);
         }
-        let challenge = draw(HiddenCause::Backlash, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::Backlash, 3.0, seed);
         let width = challenge.truth.effects[0].parameter("width_um").expect("a width");
         let dir = format!("dir_{}", &challenge.quantity[1..]);
         let direction: Vec<f64> = challenge.runs.iter().flat_map(|r| column(r, &dir)).collect();
         for (direction, effect) in direction.iter().zip(&challenge.truth.effect_um) {
             assert_eq!(*effect, if *direction < 0.0 { width } else { 0.0 });
         }
-        let challenge = draw(HiddenCause::SensorSaturation, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::SensorSaturation, 3.0, seed);
         let limit = challenge.truth.effects[0].parameter("limit_um").expect("a limit");
         for (p, effect) in challenge.truth.believed_um.iter().zip(&challenge.truth.effect_um) {
             assert!((p.min(limit) - p - effect).abs() < 1e-9);
@@ -145,7 +147,7 @@ fn the_parameters_are_those_of_the_effect() {
 fn clean_challenges_have_no_effect_and_the_noise_that_they_say() {
     for seed in 0..6 {
         for cause in [HiddenCause::CleanWhite, HiddenCause::CleanCorrelated] {
-            let challenge = draw(cause, 3.0, seed);
+            let challenge = draw_test_case(cause, 3.0, seed);
             let truth = &challenge.truth;
             assert!(truth.effects.is_empty() && truth.effect_um.iter().all(|um| *um == 0.0));
             assert_eq!(truth.expected, ExpectedDiagnosis::Clean);
@@ -157,7 +159,8 @@ fn clean_challenges_have_no_effect_and_the_noise_that_they_say() {
 #[test]
 fn every_listed_pair_can_be_drawn_and_is_twice_as_strong_in_square() {
     for &(first, second) in DISTINGUISHABLE_PAIRS {
-        let challenge = draw_pair(first, second, 3.0, 5).expect("a shared base");
+        let challenge =
+            draw_test_case_with_cause_pair(first, second, 3.0, 5).expect("a shared base");
         let truth = &challenge.truth;
         assert_eq!(truth.effects.len(), 2, "{} {}", first.name(), second.name());
         for effect in &truth.effects {
@@ -165,7 +168,10 @@ fn every_listed_pair_can_be_drawn_and_is_twice_as_strong_in_square() {
             assert!(off.abs() < 0.02, "{} in a pair: {off}", effect.cause.name());
         }
     }
-    assert!(draw_pair(HiddenCause::SensorGain, HiddenCause::Backlash, 3.0, 5).is_none());
+    assert!(
+        draw_test_case_with_cause_pair(HiddenCause::SensorGain, HiddenCause::Backlash, 3.0, 5)
+            .is_none()
+    );
 }
 
 #[test]
@@ -174,7 +180,7 @@ fn a_challenge_is_drawn_in_well_under_a_second() {
     let mut drawn = 0;
     for &cause in HiddenCause::ALL {
         for seed in 20..22 {
-            drawn += draw(cause, 2.0, seed).runs.len().min(1);
+            drawn += draw_test_case(cause, 2.0, seed).runs.len().min(1);
         }
     }
     let each = start.elapsed().as_secs_f64() / drawn as f64;
@@ -200,7 +206,7 @@ fn an_axis_expands_and_tilts_as_its_parameters_say() {
         let all = |challenge: &TestCase, name: &str| -> Vec<f64> {
             challenge.runs.iter().flat_map(|run| column(run, name)).collect()
         };
-        let challenge = draw(HiddenCause::AxisExpansion, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::AxisExpansion, 3.0, seed);
         assert!(!challenge.machine.contains(".thermal]"), "the file knows nothing of this heat");
         let effect = &challenge.truth.effects[0];
         let of = |name| effect.parameter(name).expect(name);
@@ -215,7 +221,7 @@ fn an_axis_expands_and_tilts_as_its_parameters_say() {
                 assert!((um - expected).abs() < 1e-9, "{um} is not {expected}");
             }
         }
-        let challenge = draw(HiddenCause::AngularError, 3.0, seed);
+        let challenge = draw_test_case(HiddenCause::AngularError, 3.0, seed);
         let effect = &challenge.truth.effects[0];
         let lever = effect.column.as_deref().expect("a lever");
         assert_ne!(lever, format!("{}_mm", &challenge.quantity[1..]));
@@ -250,7 +256,7 @@ fn no_other_straight_law_explains_the_effect_as_well() {
     ] {
         let (mut least, mut rival_of_least) = (f64::MAX, String::new());
         for seed in 0..6 {
-            let challenge = draw(cause, 3.0, seed);
+            let challenge = draw_test_case(cause, 3.0, seed);
             let truth = &challenge.truth;
             let all = |name: &str| -> Vec<f64> {
                 challenge.runs.iter().flat_map(|run| column(run, name)).collect()
@@ -296,7 +302,7 @@ fn no_other_straight_law_explains_the_effect_as_well() {
 #[test]
 fn every_drawn_challenge_can_be_solved() {
     for &cause in HiddenCause::ALL {
-        let challenge = draw(cause, 3.0, 0);
+        let challenge = draw_test_case(cause, 3.0, 0);
         let truth = &challenge.truth;
         let name = cause.name();
         assert!(!challenge.runs.is_empty() && !truth.believed_um.is_empty(), "{name}");
@@ -305,7 +311,7 @@ fn every_drawn_challenge_can_be_solved() {
         assert!(all.copied().all(f64::is_finite), "{name}");
         // The noise is there, and its memory ends.
         assert!(truth.noise_rms_um > 0.0 && (0.0..1.0).contains(&truth.noise_rho), "{name}");
-        let reduction = truth.max_achievable_reduction();
+        let reduction = truth.max_holdout_rms_reduction();
         let least = if truth.effects.is_empty() { 0.0 } else { 0.3 };
         assert!((least..1.0).contains(&reduction), "{name}: {reduction}");
         for effect in &truth.effects {

@@ -36,7 +36,7 @@ pub fn build_api_docs() -> Result<PathBuf> {
     let mut metadata = cargo::locked_cargo_command("metadata");
     metadata.args(["--no-deps", "--format-version", "1"]);
     let metadata: Value = serde_json::from_str(&process::capture_stdout(&mut metadata)?)?;
-    let crates = documented_crates(&metadata)?;
+    let crates = parse_documented_crates(&metadata)?;
     let folder = PathBuf::from(string_field(&metadata, "target_directory")?).join("doc");
     for one in &crates {
         let page = folder.join(&one.target).join("index.html");
@@ -48,14 +48,14 @@ pub fn build_api_docs() -> Result<PathBuf> {
         );
     }
     let root = setup::project_root();
-    let rooms = parse_rooms(&fs::read_to_string(root.join("ARCHITECTURE.md"))?);
+    let rooms = parse_layer_table(&fs::read_to_string(root.join("ARCHITECTURE.md"))?);
     let front_page = folder.join("index.html");
-    fs::write(&front_page, front_page_html(&rooms, &crates)?)?;
+    fs::write(&front_page, render_front_page_html(&rooms, &crates)?)?;
     Ok(front_page)
 }
 
 /// Returns the crates in the folder `crates`, and the commands, in the order of their folders.
-fn documented_crates(metadata: &Value) -> Result<Vec<DocumentedCrate>> {
+fn parse_documented_crates(metadata: &Value) -> Result<Vec<DocumentedCrate>> {
     let root = string_field(metadata, "workspace_root")?;
     let mut crates = Vec::new();
     for package in metadata["packages"].as_array().context("no packages")? {
@@ -94,7 +94,7 @@ fn string_field<'a>(value: &'a Value, key: &str) -> Result<&'a str> {
 }
 
 /// Returns the folders of the rooms with what they hold, from the table in ARCHITECTURE.md whose first column is `room`.
-fn parse_rooms(architecture: &str) -> Vec<(String, String)> {
+fn parse_layer_table(architecture: &str) -> Vec<(String, String)> {
     let table = architecture.lines().skip_while(|line| !line.starts_with("| room |")).skip(2);
     let rows = table.take_while(|line| line.starts_with('|'));
     rows.filter_map(|row| {
@@ -108,7 +108,10 @@ fn parse_rooms(architecture: &str) -> Vec<(String, String)> {
 ///
 /// # Errors
 /// A crate lies in no room: ARCHITECTURE.md is older than the crate.
-fn front_page_html(rooms: &[(String, String)], crates: &[DocumentedCrate]) -> Result<String> {
+fn render_front_page_html(
+    rooms: &[(String, String)],
+    crates: &[DocumentedCrate],
+) -> Result<String> {
     let mut page = HtmlPage::new("trueup: documentation for programmers");
     page.add_paragraph(
         "The crates by their room, from the bottom up. A crate depends on its own room and on those above it on this page. \
@@ -156,7 +159,7 @@ mod tests {
     fn the_rooms_are_those_of_the_architecture() {
         let text = fs::read_to_string(setup::project_root().join("ARCHITECTURE.md")).unwrap();
         let folders: Vec<String> =
-            parse_rooms(&text).into_iter().map(|(folder, _)| folder).collect();
+            parse_layer_table(&text).into_iter().map(|(folder, _)| folder).collect();
         let expected = ["base", "board", "model", "analysis", "tool", "bench"];
         assert_eq!(folders, expected.map(|room| format!("crates/{room}")));
     }
@@ -164,10 +167,10 @@ mod tests {
     #[test]
     fn a_crate_stands_below_its_room_with_its_description() {
         let rooms = [("crates/board".to_owned(), "what the board runs".to_owned())];
-        let html = front_page_html(&rooms, &[a_crate("crates/board/core")]).unwrap();
+        let html = render_front_page_html(&rooms, &[a_crate("crates/board/core")]).unwrap();
         let line = "<li><a href=\"trueup_core/index.html\"><span class=\"w\">trueup-core</span></a>: what a &lt; b does</li>";
         assert!(html.find(line) > html.find("<p>what the board runs</p>"), "{html}");
-        let error = front_page_html(&rooms, &[a_crate("crates/attic/core")]).unwrap_err();
+        let error = render_front_page_html(&rooms, &[a_crate("crates/attic/core")]).unwrap_err();
         assert!(error.to_string().contains("no room"), "{error}");
     }
 
@@ -182,9 +185,10 @@ mod tests {
             package("crates/tool/cli", "trueup-cli", "trueup", "bin"),
             package("crates/board/link", "trueup-link", "trueup-link", "lib"),
         ];
-        let crates =
-            documented_crates(&serde_json::json!({"workspace_root": "/p", "packages": packages}))
-                .unwrap();
+        let crates = parse_documented_crates(
+            &serde_json::json!({"workspace_root": "/p", "packages": packages}),
+        )
+        .unwrap();
         let targets: Vec<&str> = crates.iter().map(|one| one.target.as_str()).collect();
         assert_eq!(targets, ["trueup_link", "trueup"]);
     }

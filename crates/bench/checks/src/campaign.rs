@@ -20,7 +20,7 @@ const SIMULATOR_TESTED_FUNCTIONS: [(&str, &str); 16] = [
     ("core/src/bridge/source_selection.rs", "::offset_quality"),
     ("core/src/bridge/source_selection.rs", "::switch_source"),
     ("core/src/bridge.rs", "::tick"),
-    ("core/src/bridge.rs", "::compute_target"),
+    ("core/src/bridge.rs", "::compute_target_offset"),
     ("core/src/bridge.rs", "::process_samples"),
     ("core/src/bridge/state.rs", "State::set_inhibited"),
     ("core/src/bridge/state.rs", "State::mark_samples_lost"),
@@ -133,7 +133,7 @@ pub fn run_volume_board_campaign(poses: u32) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, or a requirement is not reached.
-pub fn run_linuxcnc_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
+pub fn run_linuxcnc_stress_test(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
     let mut test = cargo::locked_cargo_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact", "abuse::campaign_abuse", "--nocapture"])

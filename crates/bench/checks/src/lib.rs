@@ -15,7 +15,7 @@ pub mod debian_package;
 pub mod release;
 pub mod structure;
 mod supply_chain;
-mod tally;
+mod test_results;
 mod test_run;
 pub mod timing_bounds;
 pub mod verify;

@@ -5,7 +5,7 @@ use std::{path::PathBuf, process::Command};
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{process, setup};
 
-use crate::{cargo, tally::TestResults};
+use crate::{cargo, test_results::TestResults};
 
 /// Says which compiler this is, and that it is not older than `rust-version` in `Cargo.toml`.
 ///

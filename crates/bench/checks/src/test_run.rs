@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
 use trueup_emulator::{process, setup};
 
-use crate::{cargo, tally::TestResults};
+use crate::{cargo, test_results::TestResults};
 
 /// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
 const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
@@ -31,7 +31,7 @@ const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emu
 const MAX_PARALLEL_PROGRAMS: usize = 2;
 /// One LinuxCNC runs at a time, and it mostly waits for its axes: one worker takes the programs that start it, with this in
 /// their names, so that the other does not stand behind it.
-const SEQUENTIAL_PROGRAM: &str = "linuxcnc";
+const LINUXCNC_NAME_SUBSTRING: &str = "linuxcnc";
 /// How many of the last lines are printed of a program that ended before its tests had.
 const MAX_TAIL_LINES: usize = 50;
 
@@ -143,7 +143,7 @@ fn take_next_program<'a>(
     starts_linuxcnc: bool,
 ) -> Option<&'a TestProgram> {
     let fits =
-        |program: &&TestProgram| program.name.contains(SEQUENTIAL_PROGRAM) == starts_linuxcnc;
+        |program: &&TestProgram| program.name.contains(LINUXCNC_NAME_SUBSTRING) == starts_linuxcnc;
     let place = open.iter().position(fits).or((!open.is_empty()).then_some(0))?;
     Some(open.remove(place))
 }
@@ -178,7 +178,7 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Test
     let took = started.elapsed().as_secs_f64();
     let mut piece = format!("{took:7.1} s  {name}: {} passed", tally.passed);
     if tally.failed > 0 {
-        piece += &format!(", {} FAILED\n{}", tally.failed, failure_output(&output_text));
+        piece += &format!(", {} FAILED\n{}", tally.failed, extract_failure_output(&output_text));
     }
     for line in output_text.lines().filter(|line| line.starts_with("skipped:")) {
         piece += &format!("\n           {line}");
@@ -189,7 +189,7 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Test
 }
 
 /// Returns what a program of tests printed of those that failed, or its last lines if it did not come to that.
-fn failure_output(text: &str) -> String {
+fn extract_failure_output(text: &str) -> String {
     if let Some(start) = text.find("\nfailures:\n") {
         return text[start..].into();
     }
@@ -234,7 +234,7 @@ mod tests {
         let (tally, output_text) = run_and_tally_command("x", &mut command)?;
         assert_eq!((tally.failed, tally.times.len()), (1, 1));
         assert_eq!(tally.failures, ["x ended before its tests had"]);
-        assert!(failure_output(&output_text).contains("ended before"), "{output_text}");
+        assert!(extract_failure_output(&output_text).contains("ended before"), "{output_text}");
         Ok(())
     }
 
@@ -266,7 +266,7 @@ mod tests {
     fn the_output_of_the_failed_is_printed_without_the_rest() {
         let message = "test a ... ok\ntest b ... FAILED\n\nsuccesses:\n\n---- a stdout ----\nfine\n\n\
                     failures:\n\n---- b stdout ----\nassertion failed\n";
-        let printed = failure_output(message);
+        let printed = extract_failure_output(message);
         assert!(printed.contains("assertion failed") && !printed.contains("fine"), "{printed}");
     }
 }

@@ -49,7 +49,7 @@ pub fn build_longest_path_report(task: &str, mhz: u32, is_largest: bool) -> Resu
     let clock = clock.with_context(|| format!("{mhz} MHz is no clock of the board"))?;
     let root = setup::project_root();
     let app = fs::read_to_string(root.join("src/main.rs"))?;
-    let image = FirmwareImage::read(&firmware_images::build_image_for_machine(
+    let image = FirmwareImage::read(&firmware_images::build_standalone_image(
         &root.join("data/paper_spindle.toml"),
     )?)?;
     let sizes = if is_largest { CalibrationSizes::MAX } else { CalibrationSizes::EMPTY };
@@ -70,7 +70,7 @@ pub fn build_longest_path_report(task: &str, mhz: u32, is_largest: bool) -> Resu
 /// # Errors
 /// A loop has no bound or a call no target; what is named. The image does not build, or cannot be run.
 pub fn build_timing_report() -> Result<String> {
-    let image = firmware_images::build_image_for_machine(
+    let image = firmware_images::build_standalone_image(
         &setup::project_root().join("data/paper_spindle.toml"),
     )?;
     let bounds = compute_bounds(&image)?;
@@ -81,7 +81,7 @@ pub fn build_timing_report() -> Result<String> {
     if let Some(model) = chip::build_model()? {
         for clock in &CLOCK_SCENARIOS {
             let report = full_load::run(&model, &image, clock, 0)?;
-            seen.insert(clock.0, full_load::max_handler_times_us(&report));
+            seen.insert(clock.0, full_load::parse_max_handler_times_us(&report));
         }
     }
     let mut text = bounds.format_table(|bound| {

@@ -25,7 +25,7 @@ use trueup_emulator::{
 
 use crate::{
     api_docs, cargo, structure, supply_chain,
-    tally::TestResults,
+    test_results::TestResults,
     test_run::{self, TestProgram},
 };
 

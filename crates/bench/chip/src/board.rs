@@ -8,7 +8,7 @@ use crate::flash_accelerator::FlashAccelerator;
 use crate::handler_timing::HandlerTimer;
 use crate::memory_map::{FLASH_BASE, FLASH_END, SRAM_BASE, SRAM_END, SYSTEM_MEMORY_BASE};
 use crate::processor::{
-    FLASH_SIZE, Memories, Memory, PENDABLE_EXCEPTIONS, Peripherals, Processor, SRAM_SIZE,
+    FLASH_SIZE, MONITORED_EXCEPTIONS, Memories, Memory, PeripheralBus, Processor, SRAM_SIZE,
 };
 use crate::report::Severity;
 use crate::simulation_time::ms_to_ticks;
@@ -35,12 +35,12 @@ impl ChipAccess {
         let chip = chip.as_mut().expect("the processor runs after the chip is there");
         chip.advance(self.shared.now.load(Relaxed));
         let result = work(chip);
-        chip.update_interrupt_lines();
+        chip.update_lines_and_next_event();
         result
     }
 }
 
-impl Peripherals for ChipAccess {
+impl PeripheralBus for ChipAccess {
     fn read(&self, address: u32, size: u32) -> u32 {
         self.access_chip(|chip| chip.bus_read(address, size))
     }
@@ -97,9 +97,9 @@ pub struct Board {
     ones: u32,
     checked: u32,
     masked_since: Option<(u64, u32)>,
-    pended_since: [Option<u64>; PENDABLE_EXCEPTIONS.len()],
-    /// The longest that each of [`PENDABLE_EXCEPTIONS`] waited for its handler to begin.
-    pub pended_longest: [u64; PENDABLE_EXCEPTIONS.len()],
+    pended_since: [Option<u64>; MONITORED_EXCEPTIONS.len()],
+    /// The longest that each of [`MONITORED_EXCEPTIONS`] waited for its handler to begin.
+    pub pended_longest: [u64; MONITORED_EXCEPTIONS.len()],
     /// How long each handler takes.
     pub turns: HandlerTimer,
     /// Ticks asleep.
@@ -136,7 +136,7 @@ impl Board {
         faults: InjectedFaults,
         watch: TraceOptions,
     ) -> Board {
-        for (at, bytes) in elf::loadable_segments(image) {
+        for (at, bytes) in elf::parse_loadable_segments(image) {
             let offset = u64::from(at - FLASH_BASE);
             memories.flash.write_at(offset, &bytes).expect("an image for the flash");
         }
@@ -174,8 +174,8 @@ impl Board {
             ones: 0,
             checked: 0,
             masked_since: None,
-            pended_since: [None; PENDABLE_EXCEPTIONS.len()],
-            pended_longest: [0; PENDABLE_EXCEPTIONS.len()],
+            pended_since: [None; MONITORED_EXCEPTIONS.len()],
+            pended_longest: [0; MONITORED_EXCEPTIONS.len()],
             turns: HandlerTimer::default(),
             asleep: 0,
             first_sleep: None,
@@ -189,11 +189,11 @@ impl Board {
 
     /// Has the image start as after the chip's own loader: on a PLL from the internal oscillator, with the
     /// loader's vectors and the flash unlocked (AN2606, section on STM32F40xxx; RM0090 2.4).
-    pub fn start_from_bootloader(&self) {
+    pub fn set_bootloader_state(&self) {
         self.processor.set_vector_table(SYSTEM_MEMORY_BASE);
         self.with_chip(|chip| {
             chip.set_bootloader_state();
-            chip.update_interrupt_lines();
+            chip.update_lines_and_next_event();
         });
     }
 
@@ -258,7 +258,7 @@ impl Board {
                 self.ones = 0;
                 self.sleep_until_event(end);
             }
-            self.after_step();
+            self.finish_step();
         }
     }
 
@@ -285,12 +285,13 @@ impl Board {
         let now = self.now;
         self.with_chip(|chip| {
             chip.advance(now);
-            chip.update_interrupt_lines();
+            chip.update_lines_and_next_event();
         });
     }
 
     fn track_interrupt_delays(&mut self) {
-        let pended = self.processor.pending_exceptions().into_iter().zip(&mut self.pended_since);
+        let pended =
+            self.processor.exception_pending_flags().into_iter().zip(&mut self.pended_since);
         for ((is, since), longest) in pended.zip(&mut self.pended_longest) {
             match (is, *since) {
                 (true, None) => *since = Some(self.now),
@@ -354,7 +355,7 @@ impl Board {
         }
     }
 
-    fn after_step(&mut self) {
+    fn finish_step(&mut self) {
         if self.upset.0 > 0 && self.now >= self.upset.0 {
             self.processor.set_pc(self.upset.1);
             self.upset = (0, 0);
@@ -407,7 +408,7 @@ impl Board {
                 let cause =
                     if software { RCC_CSR_SFTRSTF | RCC_CSR_PINRSTF } else { chip.reset_cause };
                 chip.reset(cause);
-                chip.update_interrupt_lines();
+                chip.update_lines_and_next_event();
             });
             // The reset has ended programming.
             self.shared.flag.fetch_or(FLAG_PROGRAMMING_CHANGED, Relaxed);

@@ -8,7 +8,7 @@ fn u32_at(b: &[u8], o: usize) -> u32 {
 }
 
 /// Returns what is placed in memory: (address, bytes).
-pub fn loadable_segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
+pub fn parse_loadable_segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
     assert_eq!(&b[..5], b"\x7fELF\x01", "not a 32-bit ELF file");
     assert_eq!(u16_at(b, 18), 40, "not an Arm image");
     let (off, size, n) = (u32_at(b, 28) as usize, u16_at(b, 42) as usize, u16_at(b, 44) as usize);

@@ -12,7 +12,7 @@ const FLASH_CACHE_LINES: usize = 64;
 const FLASH_LINE_COUNT: usize = 0x10_0000 >> FLASH_LINE_SHIFT;
 const NOT_CACHED: u8 = u8::MAX;
 
-const ACR_LATENCY: u32 = 7;
+const ACR_LATENCY_MASK: u32 = 7;
 const ACR_PRFTEN: u32 = 1 << 8;
 const ACR_ICEN: u32 = 1 << 9;
 const ACR_ICRST: u32 = 1 << 11;
@@ -53,7 +53,7 @@ impl FlashAccelerator {
         self.current = line;
         let is_brought = acr & ACR_PRFTEN != 0 && follows;
         let is_kept = acr & ACR_ICEN != 0 && self.look_up_or_fill(line);
-        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & ACR_LATENCY) };
+        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & ACR_LATENCY_MASK) };
         self.waited += waits;
         waits
     }

@@ -16,18 +16,18 @@ use trueup_chip::{
     board::{Board, TraceOptions},
     chip::Chip,
     elf::SymbolTable,
-    processor::{FLASH_SIZE, Memories, PENDABLE_EXCEPTIONS},
+    processor::{FLASH_SIZE, MONITORED_EXCEPTIONS, Memories},
     report::Severity,
     script::StimulusScript,
-    simulation_time::{ms_to_ticks, ticks_to_micros, ticks_to_seconds},
+    simulation_time::{ms_to_ticks, ticks_to_seconds, ticks_to_us},
     summary,
     world::World,
 };
 
 /// FLASH_OPTCR, nWRP of sectors 8 to 11: 0 protects them against writes.
-const OPTCR_NWRP_UPPER_SECTORS: u32 = 0xf00 << 16;
+const OPTCR_NWRP_8_TO_11_MASK: u32 = 0xf00 << 16;
 /// FLASH_OPTCR, BOR_LEV: 0 is brown-out level 3.
-const OPTCR_BOR_LEV: u32 = 0xc;
+const OPTCR_BOR_LEV_MASK: u32 = 0xc;
 
 /// Time of the board between two writes of its log to the file.
 const LOG_PERIOD_TICKS: u64 = ms_to_ticks(20);
@@ -73,7 +73,7 @@ fn main() -> ExitCode {
         print_report(chip, &symbols);
         chip.report.count(Severity::Violation)
     });
-    print_masked_intervals(&mut board, &symbols);
+    print_interrupt_timing(&mut board, &symbols);
     if options.trace > 0 {
         print_pc_histogram(&board.places, &symbols, options.trace as usize);
     }
@@ -139,17 +139,17 @@ fn build_board(options: &CommandLineOptions, image: &[u8]) -> Board {
     };
     let mut board = Board::new(image, memories, world, options.faults, watch);
     if options.from_loader {
-        board.start_from_bootloader();
+        board.set_bootloader_state();
     }
     if options.ram_stuck != 0 {
         board.inject_stuck_bit(options.ram_stuck);
     }
     if options.write_protected {
-        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_NWRP_UPPER_SECTORS);
+        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_NWRP_8_TO_11_MASK);
     }
     if options.bor {
         // As after the image has run once: brown-out level 3.
-        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_BOR_LEV);
+        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_BOR_LEV_MASK);
     }
     board
 }
@@ -196,30 +196,26 @@ fn print_report(chip: &Chip, symbols: &SymbolTable) {
     }
 }
 
-fn print_masked_intervals(board: &mut Board, symbols: &SymbolTable) {
+fn print_interrupt_timing(board: &mut Board, symbols: &SymbolTable) {
     board.masks.sort_by_key(|masked| std::cmp::Reverse(masked.length));
     for masked in board.masks.iter().take(12) {
         println!(
             "   PRIMASK set for {:.2} µs at {:.3} ms from {}",
-            ticks_to_micros(masked.length),
+            ticks_to_us(masked.length),
             ticks_to_seconds(masked.since) * 1e3,
             symbols.describe_address(masked.pc)
         );
     }
     let waits =
-        PENDABLE_EXCEPTIONS.iter().zip(board.pended_longest).filter(|(_, longest)| *longest > 0);
+        MONITORED_EXCEPTIONS.iter().zip(board.pended_longest).filter(|(_, longest)| *longest > 0);
     let waits: Vec<String> = waits
-        .map(|((name, _), longest)| format!("{name}: {:.1} µs", ticks_to_micros(longest)))
+        .map(|((name, _), longest)| format!("{name}: {:.1} µs", ticks_to_us(longest)))
         .collect();
     if !waits.is_empty() {
         println!("   pending at the longest: {}", waits.join(", "));
     }
     let turns = board.turns.longest.iter().map(|(number, longest)| {
-        format!(
-            "{number}: {:.1} of {:.1} µs",
-            ticks_to_micros(longest.own),
-            ticks_to_micros(longest.whole)
-        )
+        format!("{number}: {:.1} of {:.1} µs", ticks_to_us(longest.own), ticks_to_us(longest.whole))
     });
     let turns: Vec<String> = turns.collect();
     if !turns.is_empty() {

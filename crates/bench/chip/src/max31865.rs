@@ -47,7 +47,7 @@ impl RtdConverter {
             let code = match self.celsius {
                 Some(t) => ((100.0 * (1.0 + 3.9083e-3 * t - 5.775e-7 * t * t)) / 430.0 * 32768.0)
                     .round() as u16,
-                None => RATIO_MAX,
+                None => MAX_RATIO,
             };
             self.data = code << 1;
             if code >= u16::from_be_bytes([self.limits[0], self.limits[1]]) >> 1 {

@@ -42,11 +42,11 @@ const SRAM_FILL_BYTE: u8 = 0xa5;
 
 /// Exceptions that no unit of the chip raises while its lines are not used, but its program does: name and number (Armv7-M,
 /// B1.5.2; RM0090 table 62).
-pub const PENDABLE_EXCEPTIONS: [(&str, u16); 6] =
+pub const MONITORED_EXCEPTIONS: [(&str, u16); 6] =
     [("SysTick", 15), ("EXTI0", 22), ("EXTI1", 23), ("EXTI2", 24), ("EXTI3", 25), ("EXTI4", 26)];
 
 /// Who answers the processor beyond its memories.
-pub trait Peripherals: Send + Sync {
+pub trait PeripheralBus: Send + Sync {
     /// Reads 1, 2 or 4 bytes.
     fn read(&self, address: u32, size: u32) -> u32;
     /// A write of 1, 2 or 4 bytes.
@@ -57,11 +57,11 @@ pub trait Peripherals: Send + Sync {
 
 struct PeripheralWindow {
     base: u32,
-    behind: Arc<dyn Peripherals>,
+    behind: Arc<dyn PeripheralBus>,
 }
 
 struct FlashArray {
-    behind: Arc<dyn Peripherals>,
+    behind: Arc<dyn PeripheralBus>,
     store: Arc<Memory>,
 }
 
@@ -93,18 +93,18 @@ impl MemOps for PeripheralWindow {
 }
 
 /// A word of the SRAM whose lowest bit is stuck at 1.
-struct StuckBit {
+struct StuckBitWord {
     store: Arc<Memory>,
     base: u64,
 }
 
-impl fmt::Debug for StuckBit {
+impl fmt::Debug for StuckBitWord {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("stuck")
     }
 }
 
-impl MemOps for StuckBit {
+impl MemOps for StuckBitWord {
     fn read(&self, offset: u64, to: &mut [u8], _: MemAttrs) -> MemResult {
         self.store.read_at(self.base + offset, to)?;
         if offset == 0 {
@@ -218,7 +218,7 @@ fn create_core(space: &Arc<AddressSpace>) -> Arc<ArmV7m> {
 
 impl Processor {
     /// Out of reset, with the boot pin low: the flash begins at 0 as well.
-    pub fn new(memories: &Memories, behind: Arc<dyn Peripherals>) -> Processor {
+    pub fn new(memories: &Memories, behind: Arc<dyn PeripheralBus>) -> Processor {
         let space = AddressSpace::new("f405", 32);
         let array = FlashArray { behind: behind.clone(), store: memories.flash.clone() };
         let writable = Arc::new(Region::io("flash", FLASH_SIZE, Arc::new(array)));
@@ -319,11 +319,11 @@ impl Processor {
         self.core.regs().primask
     }
 
-    /// Returns whether each exception of [`PENDABLE_EXCEPTIONS`] is pending: raised, and its handler not yet begun.
+    /// Returns whether each exception of [`MONITORED_EXCEPTIONS`] is pending: raised, and its handler not yet begun.
     #[must_use]
-    pub fn pending_exceptions(&self) -> [bool; PENDABLE_EXCEPTIONS.len()] {
+    pub fn exception_pending_flags(&self) -> [bool; MONITORED_EXCEPTIONS.len()] {
         self.core.with_sys(|system| {
-            PENDABLE_EXCEPTIONS.map(|(_, number)| system.is_pending(Exception(number)))
+            MONITORED_EXCEPTIONS.map(|(_, number)| system.is_pending(Exception(number)))
         })
     }
 
@@ -379,7 +379,8 @@ impl Processor {
 
     /// Has the lowest bit of a word of the SRAM stuck at 1, as the processor sees it.
     pub fn inject_stuck_bit(&self, memories: &Memories, address: u32) {
-        let stuck = StuckBit { store: memories.sram.clone(), base: u64::from(address - SRAM_BASE) };
+        let stuck =
+            StuckBitWord { store: memories.sram.clone(), base: u64::from(address - SRAM_BASE) };
         let region = Arc::new(Region::io("stuck", 4, Arc::new(stuck)));
         let mut map = self.space.topology();
         map.map_with_priority(region, u64::from(address), 1).expect("in the SRAM");
@@ -435,7 +436,7 @@ mod tests {
 
     struct Nobody;
 
-    impl Peripherals for Nobody {
+    impl PeripheralBus for Nobody {
         fn read(&self, _: u32, _: u32) -> u32 {
             0
         }

@@ -76,11 +76,11 @@ impl SerialLine {
         }
     }
 
-    pub(crate) fn next_byte_time(&self) -> Option<u64> {
+    pub(crate) fn next_host_byte_time(&self) -> Option<u64> {
         self.to_board.front().map(|byte| byte.0)
     }
 
-    pub(crate) fn take_byte(&mut self) -> Option<u8> {
+    pub(crate) fn pop_host_byte(&mut self) -> Option<u8> {
         self.to_board.pop_front().map(|byte| byte.1)
     }
 

@@ -25,12 +25,12 @@ pub fn ticks_to_seconds(ticks: u64) -> f64 {
 
 /// Microseconds in this many ticks.
 #[must_use]
-pub fn ticks_to_micros(ticks: u64) -> f64 {
+pub fn ticks_to_us(ticks: u64) -> f64 {
     ticks_to_seconds(ticks) * 1e6
 }
 
 /// Whole nanoseconds in this many ticks.
 #[must_use]
-pub fn ticks_to_nanos(ticks: u64) -> u64 {
+pub fn ticks_to_ns(ticks: u64) -> u64 {
     (u128::from(ticks) * 1_000_000_000 / u128::from(TICKS_PER_SECOND)) as u64
 }

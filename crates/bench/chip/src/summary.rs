@@ -28,7 +28,7 @@ pub fn format_event_log(c: &Chip, now: u64) -> String {
             byte => text.push(byte.into()),
         }
     }
-    lines.extend(rs485_responses(&c.world.wires[1]));
+    lines.extend(format_rs485_responses(&c.world.wires[1]));
     lines.extend(c.resets.iter().map(|(at, why)| (*at, format!("reset {why}"))));
     lines.sort_by_key(|line| line.0);
     let at = |ticks: u64| ticks_to_seconds(ticks) * 1e3;
@@ -46,7 +46,7 @@ pub fn format_event_log(c: &Chip, now: u64) -> String {
 }
 
 /// Returns what the board sent on the RS-485 line, cut where it paused: when it began, and the bytes.
-fn rs485_responses(wire: &SerialLine) -> Vec<(u64, String)> {
+fn format_rs485_responses(wire: &SerialLine) -> Vec<(u64, String)> {
     let mut all: Vec<(u64, String)> = Vec::new();
     let mut last = 0;
     for (at, byte) in &wire.heard {
@@ -82,7 +82,7 @@ pub fn print_summary(c: &Chip, quiet: bool) {
         by.entry(f.id).or_default().push((*t, f));
     }
     print_frame_statistics(&by);
-    print_offset_changes(&by);
+    print_offset_status_changes(&by);
     for (t, f) in by.get(&EMERGENCY_ID).into_iter().flatten().take(20) {
         println!("   emergency at {:9.3} ms: {:02x?}", ticks_to_seconds(*t) * 1e3, f.data);
     }
@@ -206,7 +206,7 @@ fn print_frame_statistics(by: &FramesById<'_>) {
 }
 
 /// The offset of Z, where its quality or its flags change.
-fn print_offset_changes(by: &FramesById<'_>) {
+fn print_offset_status_changes(by: &FramesById<'_>) {
     let mut last = (99, 99);
     let mut shown = 0;
     for (t, f) in by.get(&OFFSET_Z_ID).into_iter().flatten() {

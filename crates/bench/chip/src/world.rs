@@ -140,9 +140,9 @@ impl World {
         random_fraction(&mut self.rng)
     }
     /// Returns what a channel of a converter gives, of 12 bits.
-    pub(crate) fn adc_code(&mut self, channel: u32, now: u64) -> u32 {
+    pub(crate) fn sample_adc_code(&mut self, channel: u32, now: u64) -> u32 {
         let volts = match channel {
-            0 => return self.sensor_code(now),
+            0 => return self.sample_sensor_code(now),
             16 => TEMPERATURE_SENSOR_V25 + TEMPERATURE_SENSOR_V_PER_C * 5.0,
             17 => VREFINT_V,
             18 => VBAT_V / 2.0,
@@ -153,7 +153,7 @@ impl World {
         (volts / self.supply * 4095.0 + dither + 0.5).clamp(0.0, 4095.0) as u32
     }
     /// The sensor is given in codes, as they are with the nominal supply.
-    fn sensor_code(&mut self, now: u64) -> u32 {
+    fn sample_sensor_code(&mut self, now: u64) -> u32 {
         let scale = NOMINAL_SUPPLY_V / self.supply;
         if let Some(s) = &mut self.script {
             return s.sample_sensor(now, scale);
@@ -183,7 +183,7 @@ impl World {
     pub(crate) fn record_can_frame(&mut self, now: u64, frame: CanFrame) {
         self.log.push((now, frame));
     }
-    pub(crate) fn send_protected_frame(&mut self, now: u64, id: u32, counter: usize, body: &[u8]) {
+    pub(crate) fn queue_protected_frame(&mut self, now: u64, id: u32, counter: usize, body: &[u8]) {
         let frame = build_protected_frame(id, self.counters[counter], body);
         self.counters[counter] = self.counters[counter].wrapping_add(1);
         self.queue_can_frame(now, frame);

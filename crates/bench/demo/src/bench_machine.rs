@@ -27,7 +27,7 @@ const TEMPERATURE_CHANNEL_COUNT: i64 = 8;
 ///
 /// # Errors
 /// `source` is no TOML.
-pub fn connect_inputs(source: &str, run: &RunFile) -> Result<(String, Vec<String>)> {
+pub fn add_missing_inputs(source: &str, run: &RunFile) -> Result<(String, Vec<String>)> {
     let mut document: DocumentMut = source.parse().context("the machine file is no TOML")?;
     let mut notes = Vec::new();
     let inputs = document.entry("inputs").or_insert(Item::Table(Table::new()));
@@ -72,7 +72,7 @@ fn channel_number(item: &Item) -> Option<i64> {
 /// `source` is no machine file.
 pub fn build_bench_machine(source: &str, faster: f64) -> Result<Machine> {
     let mut document: DocumentMut = source.parse().context("the machine file is no TOML")?;
-    scale_times(document.as_table_mut(), faster);
+    shorten_times(document.as_table_mut(), faster);
     let mut machine = MachineFile::parse(&document.to_string(), Path::new("machine.toml"))?;
     machine.limits.slew_um_per_s = MAX_SLEW_UM_PER_S;
     machine.limits.max_um = [MAX_OFFSET_UM; 3];
@@ -89,7 +89,7 @@ pub fn build_bench_machine(source: &str, faster: f64) -> Result<Machine> {
 }
 
 /// Divides every time in seconds (`…_s`, but no `…_per_s`) outside the limits, which are the board's own.
-fn scale_times(table: &mut dyn TableLike, faster: f64) {
+fn shorten_times(table: &mut dyn TableLike, faster: f64) {
     for (key, item) in table.iter_mut() {
         let is_time = key.ends_with("_s") && !key.ends_with("_per_s");
         let number = item.as_float().or_else(|| item.as_integer().map(|whole| whole as f64));
@@ -97,9 +97,9 @@ fn scale_times(table: &mut dyn TableLike, faster: f64) {
             *item = value(seconds / faster);
         } else if key != "limits" {
             if let Some(inner) = item.as_table_like_mut() {
-                scale_times(inner, faster);
+                shorten_times(inner, faster);
             } else if let Some(all) = item.as_array_of_tables_mut() {
-                all.iter_mut().for_each(|inner| scale_times(inner, faster));
+                all.iter_mut().for_each(|inner| shorten_times(inner, faster));
             }
         }
     }
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn what_is_not_connected_gets_a_channel_that_is_free_and_it_is_told() {
-        let (text, notes) = connect_inputs(SOURCE, &run("temp_bed_c,temp_air_c,sensor_counts"))
+        let (text, notes) = add_missing_inputs(SOURCE, &run("temp_bed_c,temp_air_c,sensor_counts"))
             .expect("a machine file");
         let machine = build_bench_machine(&text, 1.0).expect("a machine file");
         let inputs = machine.inputs.expect("connected");

@@ -26,7 +26,11 @@ impl CampaignStatistics {
     ///
     /// # Errors
     /// A board ends.
-    pub fn play(&mut self, boards: &BoardSource, hidden: &SeparableFaultMachine) -> Result<String> {
+    pub fn run_and_record(
+        &mut self,
+        boards: &BoardSource,
+        hidden: &SeparableFaultMachine,
+    ) -> Result<String> {
         let outcome = run_hidden_fault_demo(boards, hidden, &mut |_, _| {})?.outcome;
         let line = outcome.format_row();
         self.outcomes.push(outcome);

@@ -16,7 +16,7 @@ const MAX_ALTERNATIVES: usize = 3;
 
 /// Returns a finding's name, with the column that it depends on.
 #[must_use]
-pub(crate) fn finding_name(finding: &Finding) -> String {
+pub(crate) fn format_finding_name(finding: &Finding) -> String {
     match &finding.column {
         Some(column) => format!("{} ({column})", finding.cause),
         None => finding.cause.clone(),
@@ -43,7 +43,7 @@ pub(crate) fn format_findings(diagnosis: &Diagnosis) -> String {
     let mut text = format!("{}: {}\n", report.verdict.name(), diagnosis.sentence());
     for finding in &report.findings {
         let open = if finding.claimed { "" } else { ", not settled" };
-        let _ = writeln!(text, "  {}{open}: {}", finding_name(finding), finding.sentence);
+        let _ = writeln!(text, "  {}{open}: {}", format_finding_name(finding), finding.sentence);
         if let Some(rivals) = format_alternatives(finding) {
             let _ = writeln!(text, "    worse in its place (BIC; 6 is clear): {rivals}");
         }

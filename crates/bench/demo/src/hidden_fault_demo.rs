@@ -12,7 +12,7 @@ use anyhow::{Context as _, Result};
 use serde::Serialize;
 use trueup_campaigns::{
     faulty_machine::{SeparableFaultMachine, expected_causes},
-    run_table::with_columns,
+    run_file::with_columns,
 };
 use trueup_diagnose::{Diagnosis, DiagnosisOptions, diagnose_with_options, report::Finding};
 use trueup_machine::{
@@ -23,7 +23,7 @@ use trueup_twin::noise::rms;
 
 use crate::{
     ProgressCallback, bench_machine,
-    playback::{PlaybackRecord, PlaybackTiming, max_playback_speedup, play},
+    playback::{PlaybackParameters, PlaybackRecord, max_playback_speedup, play},
     stepped_board::{BoardSource, StartedBoard},
 };
 
@@ -112,9 +112,9 @@ pub fn run_hidden_fault_demo(
         .context("a quantity")?;
     let path = Path::new("machine.toml");
     let (first, second) = (hidden.record_day(0, false)?, hidden.record_day(1, false)?);
-    let (source, _) = bench_machine::connect_inputs(&plant.machine, &first)?;
+    let (source, _) = bench_machine::add_missing_inputs(&plant.machine, &first)?;
     let mut notes = Vec::new();
-    let faster = choose_time_compression(&first, &second)?;
+    let faster = choose_playback_speedup(&first, &second)?;
     let day = BenchDay { boards, quantity, faster };
 
     let believed_blob = compile_for_bench(&source, faster)?;
@@ -124,7 +124,8 @@ pub fn run_hidden_fault_demo(
             progress("", 0.2 * share)
         })
     })?;
-    let record = day.record_with_gauge(&source, &first, &played, &hidden.measured_column())?;
+    let record =
+        day.build_record_with_gauge(&source, &first, &played, &hidden.measured_column_name())?;
     progress("looking for what is wrong", 0.2);
     let machine = MachineFile::parse(&source, path)?;
     // This CNC adds what it is given.
@@ -151,12 +152,12 @@ pub fn run_hidden_fault_demo(
         })
     })?;
     progress("loading what was found, and the same day with it", 0.7);
-    let after = boards.run_with_update(&believed_blob, &new, |started| {
+    let after = boards.run_with_updated_calibration(&believed_blob, &new, |started| {
         day.play(started, &extended, &second, &mut |share| progress("", 0.7 + 0.3 * share))
     })?;
     let board_s = played.board_s + before.board_s + after.board_s;
     let at_tool = |source: &str, played: &PlaybackRecord| {
-        day.residuals_um(source, &truth, played, &hidden.measured_column())
+        day.residuals_um(source, &truth, played, &hidden.measured_column_name())
     };
     let (before_um, after_um) = (at_tool(&source, &before)?, at_tool(&extended, &after)?);
     let (tool_rms_before_um, tool_rms_after_um) = (finite_rms(&before_um), finite_rms(&after_um));
@@ -166,13 +167,13 @@ pub fn run_hidden_fault_demo(
     let report = &diagnosis.report;
     let faults = hidden_fault_causes(hidden);
     // The day as its bridge sees it: readings are not predicted from readings.
-    let unread = hidden.with_zeroed_gauge(&second)?;
-    let promised = diagnosis.expected_error_on(&unread)?;
+    let unread = hidden.run_with_zeroed_readings(&second)?;
+    let promised = diagnosis.predict_error_at_tool(&unread)?;
     // What the bridge is off its own model, as the first day has shown, it will be again, before and after.
     let of_bridge_um = day.model_deviation_rms_um(&source, &first, &played)?;
     let [before, after] = [promised.before_um, promised.after_um].map(|um| um.hypot(of_bridge_um));
     let promised_reduction = 1.0 - after / before.max(f64::MIN_POSITIVE);
-    let (missed, wrong) = score_findings(&faults, &report.findings);
+    let (missed, wrong) = find_missed_and_false_claims(&faults, &report.findings);
     let envelope = true_and_predicted_effect(hidden, &first, &source, &extended, quantity)?;
     Ok(HiddenFaultResult {
         outcome: HiddenFaultOutcome {
@@ -206,7 +207,7 @@ fn compile_for_bench(source: &str, faster: f64) -> Result<CompiledCalibration> {
 
 /// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so
 /// fast that a board would doubt its thermometers.
-fn choose_time_compression(first: &RunFile, second: &RunFile) -> Result<f64> {
+fn choose_playback_speedup(first: &RunFile, second: &RunFile) -> Result<f64> {
     let times = first.require_column("time_s")?;
     let span_s = times[times.len() - 1] - times[0];
     let shift = (span_s / SHIFT_DURATION_S).ceil();
@@ -233,7 +234,7 @@ fn hidden_fault_causes(hidden: &SeparableFaultMachine) -> Vec<FaultCauses> {
 }
 
 /// Faults that no finding names, and claimed causes that belong to no fault.
-fn score_findings(
+fn find_missed_and_false_claims(
     faults: &[FaultCauses],
     findings: &[Finding],
 ) -> (Vec<&'static str>, Vec<String>) {
@@ -300,7 +301,7 @@ impl BenchDay<'_> {
         progress: &mut dyn FnMut(f64),
     ) -> Result<PlaybackRecord> {
         let machine = bench_machine::build_bench_machine(source, self.faster)?;
-        let mut pace = PlaybackTiming::from_timestamps(run, self.faster)?;
+        let mut pace = PlaybackParameters::from_timestamps(run, self.faster)?;
         pace.counter = started.counter;
         play(started.bridge, &machine, run, &pace, &|_| true, progress)
             .with_context(|| format!("on the {} board", self.boards.name()))
@@ -315,8 +316,8 @@ impl BenchDay<'_> {
         played: &PlaybackRecord,
     ) -> Result<f64> {
         let machine = MachineFile::parse(source, Path::new("machine.toml"))?;
-        let corrected =
-            played.corrected_um(self.quantity, &bench_machine::build_bench_machine(source, 1.0)?);
+        let corrected = played
+            .estimated_error_um(self.quantity, &bench_machine::build_bench_machine(source, 1.0)?);
         let predicted: Vec<f64> = RunPredictor::new(&machine, run)?
             .predictions()
             .map(|row| row.compensated.to_array()[self.quantity as usize])
@@ -342,7 +343,7 @@ impl BenchDay<'_> {
         measured: &str,
     ) -> Result<Vec<f64>> {
         let machine = bench_machine::build_bench_machine(source, 1.0)?;
-        let corrected = played.corrected_um(self.quantity, &machine);
+        let corrected = played.estimated_error_um(self.quantity, &machine);
         let values = run.require_column(measured)?;
         let mut left: Vec<f64> = (0..run.row_count())
             .map(|row| match played.quality[row] {
@@ -361,7 +362,7 @@ impl BenchDay<'_> {
 
     /// Returns the bridge's own record with the gauge next to it, as the monitor writes it: the gauge sees what the
     /// offsets leave.
-    fn record_with_gauge(
+    fn build_record_with_gauge(
         &self,
         source: &str,
         run: &RunFile,
@@ -369,7 +370,7 @@ impl BenchDay<'_> {
         measured: &str,
     ) -> Result<RunFile> {
         let machine = bench_machine::build_bench_machine(source, 1.0)?;
-        let corrected = played.corrected_um(self.quantity, &machine);
+        let corrected = played.estimated_error_um(self.quantity, &machine);
         let seen = run.require_column(measured)?.iter().zip(&corrected);
         let seen =
             seen.map(|(um, corrected)| if corrected.is_finite() { um - corrected } else { *um });

@@ -3,7 +3,7 @@
 use trueup_diagnose::{Diagnosis, Verdict, report::Finding};
 use trueup_page::{
     BarChart, Chart, ChartSeries, ColourRole, HtmlPage, HtmlTable, choose_time_unit,
-    format_micrometres, format_significant,
+    format_micrometres, format_three_digits,
 };
 
 use crate::{
@@ -33,7 +33,7 @@ pub fn render_page(one: &MeasuredRunResult, two: Option<&HiddenFaultResult>) -> 
 
 /// Returns the picture of act two alone, for a page of text: the error at the tool on another day.
 #[must_use]
-pub fn hidden_fault_svg(two: &HiddenFaultResult) -> String {
+pub fn render_hidden_fault_svg(two: &HiddenFaultResult) -> String {
     second_day_chart(two).to_standalone_svg()
 }
 
@@ -79,14 +79,14 @@ fn add_hidden_fault_section(page: &mut HtmlPage, two: &HiddenFaultResult) {
                     .iter()
                     .find(|(_, parameter)| parameter["ci95"][0].is_number());
                 let number = |value: &serde_json::Value| {
-                    value.as_f64().map_or("–".into(), format_significant)
+                    value.as_f64().map_or("–".into(), format_three_digits)
                 };
                 let (value, interval) =
                     first.map_or(("–".into(), "–".into()), |(name, parameter)| {
                         let ends = [0, 1].map(|end| number(&parameter["ci95"][end]));
                         (format!("{name} {}", number(&parameter["value"])), ends.join(" … "))
                     });
-                [console_text::finding_name(finding), value, interval]
+                [console_text::format_finding_name(finding), value, interval]
             }
         });
         table.add_row(&cells);
@@ -230,17 +230,17 @@ fn render_measured_run_charts(one: &MeasuredRunResult) -> Vec<String> {
 pub(crate) fn add_findings(page: &mut HtmlPage, findings: &[Finding]) {
     for finding in findings {
         let open = if finding.claimed { "" } else { " (not settled)" };
-        page.add_subheading(&format!("{}{open}", console_text::finding_name(finding)));
+        page.add_subheading(&format!("{}{open}", console_text::format_finding_name(finding)));
         page.add_list(&finding.evidence);
         let mut table = HtmlTable::new(&["", "value", "95 %"]);
         for (name, parameter) in &finding.parameters {
             if let Some(value) = parameter["value"].as_f64() {
                 let end = |index: usize| {
-                    parameter["ci95"][index].as_f64().map_or("–".into(), format_significant)
+                    parameter["ci95"][index].as_f64().map_or("–".into(), format_three_digits)
                 };
                 table.add_row(&[
                     name.clone(),
-                    format_significant(value),
+                    format_three_digits(value),
                     format!("{} … {}", end(0), end(1)),
                 ]);
             }

@@ -8,7 +8,7 @@ use std::{borrow::Cow, path::Path};
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
-use trueup_campaigns::run_table::without_readings;
+use trueup_campaigns::run_file::without_readings;
 use trueup_diagnose::{Diagnosis, DiagnosisOptions, diagnose_with_options};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
@@ -21,7 +21,7 @@ use trueup_numerics::line::{ErrorStatistics, fit_line};
 
 use crate::{
     ProgressCallback, bench_machine,
-    playback::{PlaybackRecord, PlaybackTiming, check_offsets, play},
+    playback::{PlaybackParameters, PlaybackRecord, check_offsets, play},
     stepped_board::BoardSource,
 };
 
@@ -116,7 +116,7 @@ pub fn run_measured_run_demo(
     asked: &MeasuredRunInput<'_>,
     progress: &mut ProgressCallback<'_>,
 ) -> Result<MeasuredRunResult> {
-    let (source, mut notes) = bench_machine::connect_inputs(asked.source, asked.run)?;
+    let (source, mut notes) = bench_machine::add_missing_inputs(asked.source, asked.run)?;
     let machine = MachineFile::parse(&source, asked.path)?;
     let (run, run_notes) =
         UncompensatedRun::from_run(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
@@ -150,7 +150,7 @@ pub fn run_measured_run_demo(
     let all = |_: usize| true;
     let before = stage.play_run(&source, &all, &mut |share| progress("", 0.2 + 0.2 * share))?;
     let (mut frames, mut board_s) = ([before.frames, before.errors], before.board_s);
-    let sent = stage.corrected_um(&source, &before)?;
+    let sent = stage.estimated_error_um(&source, &before)?;
 
     let mut calibrated = sent.clone();
     if extended != source {
@@ -172,7 +172,7 @@ pub fn run_measured_run_demo(
                 |row: usize| if faster.is_some() { row <= last } else { is_hidden(row) };
             let played =
                 stage.play_run(&of_rest, &is_selected, &mut |share| progress("", at(share)))?;
-            let corrected_um = stage.corrected_um(&of_rest, &played)?;
+            let corrected_um = stage.estimated_error_um(&of_rest, &played)?;
             (0..run.row_count())
                 .filter(|row| is_hidden(*row))
                 .for_each(|row| calibrated[row] = corrected_um[row]);
@@ -264,8 +264,8 @@ impl PlaybackContext<'_> {
     ) -> Result<PlaybackRecord> {
         let machine = bench_machine::build_bench_machine(source, self.faster.unwrap_or(1.0))?;
         let pace = match self.faster {
-            Some(faster) => PlaybackTiming::from_timestamps(self.run, faster)?,
-            None => PlaybackTiming::with_static_hold(self.run.row_count()),
+            Some(faster) => PlaybackParameters::from_timestamps(self.run, faster)?,
+            None => PlaybackParameters::with_static_hold(self.run.row_count()),
         };
         let played = self.boards.run(&compile(&machine)?, |bridge| {
             play(bridge, &machine, self.run, &pace, is_selected, progress)
@@ -274,9 +274,9 @@ impl PlaybackContext<'_> {
         Ok(played)
     }
 
-    fn corrected_um(&self, source: &str, played: &PlaybackRecord) -> Result<Vec<f64>> {
+    fn estimated_error_um(&self, source: &str, played: &PlaybackRecord) -> Result<Vec<f64>> {
         let machine = bench_machine::build_bench_machine(source, 1.0)?;
-        Ok(played.corrected_um(self.quantity, &machine))
+        Ok(played.estimated_error_um(self.quantity, &machine))
     }
 }
 

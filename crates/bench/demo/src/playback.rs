@@ -34,7 +34,7 @@ const FIRST_ROW_HOLD_S: f64 = 0.02;
 const ENGAGE_TIME_MS: u32 = 200;
 const FIRST_ROW_TIME_MS: u32 = 500;
 /// The last offsets of a row are averaged, but not over more than this.
-const AVERAGING_WINDOW_MS: u32 = 100;
+const MAX_AVERAGING_WINDOW_MS: u32 = 100;
 /// Temperatures go from row to row nearly as fast as a board believes: 600 K/min.
 const TEMPERATURE_SLEW_C_PER_S: f64 = 9.0;
 /// Run-out of ±5 µm with 20 % second and 10 % third harmonic.
@@ -42,7 +42,7 @@ const RUNOUT_HARMONICS_UM: [f64; 3] = [5.0, 1.0, 0.5];
 
 /// How a run is played.
 #[derive(Clone, Debug)]
-pub struct PlaybackTiming {
+pub struct PlaybackParameters {
     /// How long the board sees each row, in s.
     pub hold_s: Vec<f64>,
     /// Whether the sensor sees the run-out of a turning spindle.
@@ -53,7 +53,7 @@ pub struct PlaybackTiming {
     pub counter: u8,
 }
 
-impl PlaybackTiming {
+impl PlaybackParameters {
     /// Returns each row until the filters have come to rest.
     #[must_use]
     pub(crate) fn with_static_hold(rows: usize) -> Self {
@@ -97,7 +97,7 @@ pub struct PlaybackRecord {
 impl PlaybackRecord {
     /// Returns what the offsets say of `quantity` in each row, in µm: they are its opposite. NaN where missing.
     #[must_use]
-    pub fn corrected_um(&self, quantity: Quantity, machine: &Machine) -> Vec<f64> {
+    pub fn estimated_error_um(&self, quantity: Quantity, machine: &Machine) -> Vec<f64> {
         let of = |offset: &Option<[f64; 3]>| {
             offset.map_or(f64::NAN, |um| match quantity.axis() {
                 Some(axis) => -um[axis.index()],
@@ -117,12 +117,12 @@ pub fn play(
     bridge: &mut dyn SteppedBoard,
     machine: &Machine,
     run: &RunFile,
-    pace: &PlaybackTiming,
+    pace: &PlaybackParameters,
     is_selected: &dyn Fn(usize) -> bool,
     progress: &mut dyn FnMut(f64),
 ) -> Result<PlaybackRecord> {
     // A second for each row: only the order matters here.
-    let replay = RunReplay::new(&without_timestamps(run)?, machine, 1.0)?;
+    let replay = RunReplay::new(&with_row_index_timestamps(run)?, machine, 1.0)?;
     let mut cnc = CncPlayer::new(machine, pace);
     let loads = run.column("load_n");
     let load_n = |row: usize| {
@@ -139,7 +139,7 @@ pub fn play(
     };
     let mut passed_s = 0.0;
     let mut done_ms = 0;
-    let changes_c = temperature_changes_c(run);
+    let changes_c = max_temperature_changes_c(run);
     let mut before = None;
     for row in (0..run.row_count()).filter(|row| is_selected(*row)) {
         // Rounded as a sum, so that no time is lost.
@@ -167,13 +167,13 @@ pub fn play(
 }
 
 /// Returns the run without its clock.
-fn without_timestamps(run: &RunFile) -> Result<RunFile> {
+fn with_row_index_timestamps(run: &RunFile) -> Result<RunFile> {
     let columns = run.columns().iter().filter(|column| column.name == "time_s");
     if columns.count() == 0 {
         return Ok(run.clone());
     }
     let count = (0..run.row_count()).map(|row| row as f64).collect();
-    trueup_campaigns::run_table::with_columns(run, &[("time_s".into(), count)])
+    trueup_campaigns::run_file::with_columns(run, &[("time_s".into(), count)])
 }
 
 /// The CNC's part, and the front end's.
@@ -191,7 +191,7 @@ struct CncPlayer {
 }
 
 impl CncPlayer {
-    fn new(machine: &Machine, pace: &PlaybackTiming) -> Self {
+    fn new(machine: &Machine, pace: &PlaybackParameters) -> Self {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
         let model = machine.spindle.sensor.as_ref();
         let volts_per_um = input.zip(model).map_or(0.0, |(input, model)| {
@@ -220,7 +220,7 @@ impl CncPlayer {
         ms: u32,
         temperatures: &dyn Fn(f64) -> RawTemperatures,
     ) -> Result<Option<(Option<[f64; 3]>, OffsetQuality)>> {
-        let mean_from = ms - (ms / 5).clamp(1.min(ms), AVERAGING_WINDOW_MS);
+        let mean_from = ms - (ms / 5).clamp(1.min(ms), MAX_AVERAGING_WINDOW_MS);
         let (mut outputs, mut passed) = (Vec::new(), 0);
         while passed < ms {
             let batch = (ms - passed).min(MAX_BATCH_BLOCKS);
@@ -240,7 +240,7 @@ impl CncPlayer {
             outputs.push(self.last);
         }
         let from = outputs.len().saturating_sub((ms - mean_from) as usize);
-        Ok(mean_output(&outputs[from.min(outputs.len() - 1)..]))
+        Ok(mean_offset_and_worst_quality(&outputs[from.min(outputs.len() - 1)..]))
     }
 
     fn next_block(&mut self, now: &MachineSnapshot, load_n: f64) -> Block {
@@ -277,7 +277,7 @@ impl CncPlayer {
 }
 
 /// Returns the largest change of a temperature to each row, in K; 0 to the first.
-fn temperature_changes_c(run: &RunFile) -> Vec<f64> {
+fn max_temperature_changes_c(run: &RunFile) -> Vec<f64> {
     let mut changes = vec![0.0_f64; run.row_count()];
     for column in run.columns().iter().filter(|column| is_temperature_column(&column.name)) {
         for (change, pair) in changes[1..].iter_mut().zip(column.values.windows(2)) {
@@ -295,7 +295,7 @@ pub(crate) fn max_playback_speedup(run: &RunFile) -> Result<f64> {
     /// Change that a board takes at once, in K.
     const MAX_TEMPERATURE_STEP_C: f64 = 0.5;
     let times = run.require_column("time_s")?;
-    let changes = temperature_changes_c(run);
+    let changes = max_temperature_changes_c(run);
     let rows = times.windows(2).zip(&changes[1..]).filter(|(_, c)| **c > MAX_TEMPERATURE_STEP_C);
     let most = rows.map(|(pair, c)| {
         TEMPERATURE_SLEW_C_PER_S * (pair[1] - pair[0]) / (c - MAX_TEMPERATURE_STEP_C)
@@ -319,7 +319,7 @@ fn interpolate_temperatures(
     })
 }
 
-fn mean_output(outputs: &[Output]) -> Option<(Option<[f64; 3]>, OffsetQuality)> {
+fn mean_offset_and_worst_quality(outputs: &[Output]) -> Option<(Option<[f64; 3]>, OffsetQuality)> {
     let quality =
         outputs.iter().map(|output| output.quality).max_by_key(|quality| *quality as u8)?;
     let mut sum_nm = [0.0; 3];

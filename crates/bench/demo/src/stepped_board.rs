@@ -93,7 +93,7 @@ impl BoardSource {
     ///
     /// # Errors
     /// The emulator does not start, the board refuses, or those of `work`.
-    pub(crate) fn run_with_update<T>(
+    pub(crate) fn run_with_updated_calibration<T>(
         &self,
         old: &CompiledCalibration,
         new: &CompiledCalibration,

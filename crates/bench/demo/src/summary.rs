@@ -22,7 +22,7 @@ pub struct DemoSummary<'a> {
     /// Residual of the current machine file.
     pub paper: ResidualStatistics,
     /// Figures of the extended one, on readings that it has not seen.
-    pub calibrated: CalibrationFigures,
+    pub calibrated: HeldOutFigures,
     /// Counts of full scale in the machine file over those of an S7 input; null without a sensor.
     pub s7_full_scale_ratio: Option<f64>,
     /// Verdict of act one.
@@ -40,7 +40,7 @@ pub struct DemoSummary<'a> {
 
 /// Figures of the extended machine file.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct CalibrationFigures {
+pub struct HeldOutFigures {
     /// Measured over sent: µm for 1 µm; null where there is no line.
     pub gain: Option<f64>,
     /// Measured where the bridge says 0, in µm.
@@ -67,7 +67,7 @@ impl<'a> DemoSummary<'a> {
             e2e_errors: one.frames[1],
             rows: &one.rows,
             paper: one.before,
-            calibrated: CalibrationFigures {
+            calibrated: HeldOutFigures {
                 gain: one.line.map(|[gain, _]| gain),
                 offset_um: one.line.map(|[_, offset]| offset),
                 loo_rms_um: one.after.rms_um,

@@ -9,11 +9,11 @@ use std::path::Path;
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_campaigns::{
     physical_faults::{MachineKind, Plant},
-    run_table::{parse_run, with_columns},
+    run_file::{parse_run, with_columns},
 };
 use trueup_demo::{
     bench_machine,
-    playback::{PlaybackTiming, check_offsets, play},
+    playback::{PlaybackParameters, check_offsets, play},
     stepped_board::BoardSource,
 };
 use trueup_machine::{MachineFile, RunFile, compile, machine_file::Quantity};
@@ -55,16 +55,16 @@ fn recorded(scenario: &Scenario, seed: u64) -> RunFile {
 
 /// Returns what the gauge shows when the bridge runs with the file `source`.
 fn with_bridge(source: &str, run: &RunFile) -> RunFile {
-    let (source, _) = bench_machine::connect_inputs(source, run).expect("a machine file");
+    let (source, _) = bench_machine::add_missing_inputs(source, run).expect("a machine file");
     let machine = bench_machine::build_bench_machine(&source, FASTER).expect("a machine file");
-    let pace = PlaybackTiming::from_timestamps(run, FASTER).expect("it has a time");
+    let pace = PlaybackParameters::from_timestamps(run, FASTER).expect("it has a time");
     let played = BoardSource::InProcess
         .run(&compile(&machine).expect("it fits the board"), |bridge| {
             play(bridge, &machine, run, &pace, &|_| true, &mut |_| {})
         })
         .expect("the board lives");
     check_offsets(&played, |_| true).expect("an offset in every row");
-    let corrected = played.corrected_um(Quantity::Elongation, &machine);
+    let corrected = played.estimated_error_um(Quantity::Elongation, &machine);
     let seen = run.column(MEASURED).expect("measured").iter().zip(corrected);
     let seen = seen.map(|(um, corrected)| um - corrected).collect();
     with_columns(run, &[(MEASURED.into(), seen)]).expect("a run file")

@@ -49,7 +49,7 @@ fn campaign_of_fixed_seeds() {
     for seed in 0..seeds {
         println!("{}", {
             let hidden = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
-            campaign.play(&BoardSource::InProcess, &hidden).expect("it runs through")
+            campaign.run_and_record(&BoardSource::InProcess, &hidden).expect("it runs through")
         });
     }
     println!("{}", campaign.format_summary());

@@ -4,7 +4,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_campaigns::run_table::parse_run;
+use trueup_campaigns::run_file::parse_run;
 use trueup_demo::{
     html_report,
     measured_run_demo::{MeasuredRunInput, MeasuredRunResult, run_measured_run_demo},

@@ -44,7 +44,7 @@ impl BenchmarkReport {
     ///
     /// # Errors
     /// Board and host disagree, or the file cannot be written.
-    pub fn write_report(&self) -> Result<()> {
+    pub fn print_and_write_json(&self) -> Result<()> {
         let folder = setup::project_root().join("target/measure");
         fs::create_dir_all(&folder)?;
         let text = serde_json::to_string_pretty(&self.json)? + "\n";
@@ -63,7 +63,7 @@ impl BenchmarkReport {
 pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
     let gantry = setup::project_root().join("data/gantry.toml");
     let machine = compile(&MachineFile::read(&gantry)?)?;
-    let by_tool = fs::read_to_string(&gantry)? + &tool_terms_toml();
+    let by_tool = fs::read_to_string(&gantry)? + &build_tool_terms_toml();
     let by_tool = compile(&MachineFile::parse(&by_tool, Path::new("by_tool.toml"))?)?;
     let curves = MachineFile::parse(&build_curve_machine_toml(), Path::new("curves.toml"))?;
     let curves = compile(&curves)?;
@@ -75,7 +75,8 @@ pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
             == test_vectors::compute_checksum(compiled.calibration(), vectors))
     };
     let identical = is_same("checksum", &machine)? && is_same("checksum_by_tool", &by_tool)?;
-    let size = memory_usage::measure_memory_usage(&firmware_images::build(Board::Stm32f405)?)?;
+    let size =
+        memory_usage::measure_memory_usage(&firmware_images::build_board_image(Board::Stm32f405)?)?;
 
     let (mut segments, mut bytes) = (0, 0);
     for curve in machine.calibration().straightness {
@@ -192,7 +193,7 @@ fn table_value(numbers: &BenchmarkTable, name: &str, place: usize) -> Result<u64
 
 /// Four terms for the gantry: the growth of 32 tools, a condition, one behind a lag, and one that is a factor on the
 /// growth.
-fn tool_terms_toml() -> String {
+fn build_tool_terms_toml() -> String {
     let mut text = String::from(
         "\n[inputs.coolant_on]\nkind = \"condition\"\nbit = 0\n[inputs.door_open]\nkind = \"condition\"\nbit = 9\n\
          [inputs.clamp]\nkind = \"condition\"\nbit = 15\n[spindle.tools]\ndefault = { um_per_krpm2 = 0.01 }\n",

@@ -56,7 +56,7 @@ pub struct ReachableFunctions {
 impl ReachableFunctions {
     /// Returns what of it makes a panic: functions of that name, traps, and what could not be followed.
     #[must_use]
-    pub fn panic_functions(&self) -> Vec<&str> {
+    pub fn potential_panic_sources(&self) -> Vec<&str> {
         let named = self.names.iter().filter(|name| name.contains("panic"));
         named.chain(&self.traps).chain(&self.blind).map(String::as_str).collect()
     }

@@ -79,7 +79,7 @@ pub struct ModelRunReport {
 pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<ModelRunReport> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let raw = folder.path().join("log");
-    let mut report = run_with_log(model, image, options, Some(&raw))?;
+    let mut report = run_with_optional_log(model, image, options, Some(&raw))?;
     LogDecoder::from_image(image)?.decode_stream(File::open(raw)?, |line| report.log.push(line))?;
     Ok(report)
 }
@@ -93,11 +93,11 @@ pub fn run_without_log<S: AsRef<OsStr>>(
     image: &Path,
     options: &[S],
 ) -> Result<ModelRunReport> {
-    run_with_log(model, image, options, None)
+    run_with_optional_log(model, image, options, None)
 }
 
 /// Runs it; its raw log goes to that file.
-fn run_with_log<S: AsRef<OsStr>>(
+fn run_with_optional_log<S: AsRef<OsStr>>(
     model: &Path,
     image: &Path,
     options: &[S],

@@ -69,7 +69,7 @@ pub(crate) fn cargo_command(verb: &str, feature: &str) -> Result<(Command, PathB
 
 /// Part of the name of an image for this machine file: two programs that build for two machines at once do not
 /// overwrite each other's, and for one machine there is one image.
-pub(crate) fn machine_file_hash(machine: &Path) -> Result<String> {
+pub(crate) fn hash_machine_file(machine: &Path) -> Result<String> {
     let text = fs::read(machine).with_context(|| machine.display().to_string())?;
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);

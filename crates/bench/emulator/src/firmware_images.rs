@@ -10,7 +10,7 @@ use anyhow::Result;
 
 use crate::{
     firmware_build::{
-        FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, cargo_command, machine_file_hash,
+        FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, cargo_command, hash_machine_file,
     },
     flash_image, image_check, process,
     setup::{self, TARGET_TRIPLE},
@@ -75,7 +75,7 @@ pub fn build_benchmark_image() -> Result<PathBuf> {
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
-pub fn build(board: Board) -> Result<PathBuf> {
+pub fn build_board_image(board: Board) -> Result<PathBuf> {
     match board {
         Board::Stm32f405 => slot_images::build_combined_image(
             LinkedMachineFile::Named,
@@ -91,28 +91,28 @@ pub fn build(board: Board) -> Result<PathBuf> {
 /// Builds the virtual board's image and gives its path; makes sure of QEMU, which runs it.
 ///
 /// # Errors
-/// As [`build`]; QEMU is missing and cannot be installed.
+/// As [`build_board_image`]; QEMU is missing and cannot be installed.
 pub fn build_virtual_board_image() -> Result<PathBuf> {
     setup::ensure_qemu()?;
-    build(Board::Virtual)
+    build_board_image(Board::Virtual)
 }
 
 /// Builds the application alone, at the start of the flash and without slots, for a machine: what the tests run that ask
 /// nothing of the boot program. Without a machine it has the example's constants, and gives no offset.
 ///
 /// # Errors
-/// As [`build`]; the machine file cannot be used.
-pub fn build_image_for_machine(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-for-{}", machine_file_hash(machine)?);
+/// As [`build_board_image`]; the machine file cannot be used.
+pub fn build_standalone_image(machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-for-{}", hash_machine_file(machine)?);
     build_application_image("stm32f405", &name, LinkedMachineFile::File(machine))
 }
 
 /// Builds the same with the feature `faults`: it breaks on command, and is never for a machine.
 ///
 /// # Errors
-/// As [`build_image_for_machine`].
+/// As [`build_standalone_image`].
 pub fn build_image_with_fault_injection(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-faults-for-{}", machine_file_hash(machine)?);
+    let name = format!("stm32f405-faults-for-{}", hash_machine_file(machine)?);
     build_application_image("faults", &name, LinkedMachineFile::File(machine))
 }
 

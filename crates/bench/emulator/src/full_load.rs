@@ -67,7 +67,7 @@ pub fn run(
 
 /// Returns the longest turn of each exception's handler in µs, of its own and from beginning to end.
 #[must_use]
-pub fn max_handler_times_us(report: &ModelRunReport) -> BTreeMap<u32, [f64; 2]> {
+pub fn parse_max_handler_times_us(report: &ModelRunReport) -> BTreeMap<u32, [f64; 2]> {
     let (_, rest) =
         report.stdout.split_once("turns at the longest, by exception: ").unwrap_or_default();
     let turns = rest.lines().next().unwrap_or_default().split(", ");

@@ -21,7 +21,8 @@ pub fn embed_image_check(image: &Path) -> Result<()> {
     let (address, place) =
         find_symbol(&bytes, IMAGE_CHECK_SYMBOL).context("the image has no place for a CRC")?;
     // It begins with its vectors, wherever it is linked for.
-    let start = symbol_address(image, "__vector_table")?.context("the image has no vectors")?;
+    let start =
+        find_symbol_address(image, "__vector_table")?.context("the image has no vectors")?;
     let mut flash = flash_image::read_flash_image(image)?
         .split_off(usize::try_from(start - flash_image::FLASH_START)?);
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
@@ -68,7 +69,7 @@ fn update_crc(crc: u32, word: u32) -> u32 {
 ///
 /// # Errors
 /// The image cannot be read.
-pub fn symbol_address(image: &Path, name: &str) -> Result<Option<u32>> {
+pub fn find_symbol_address(image: &Path, name: &str) -> Result<Option<u32>> {
     let bytes = fs::read(image).with_context(|| image.display().to_string())?;
     let file = object::File::parse(&*bytes)?;
     let found = file.symbols().find(|symbol| symbol.name() == Ok(name));

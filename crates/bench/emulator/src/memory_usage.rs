@@ -45,7 +45,7 @@ pub fn measure_memory_usage(image: &Path) -> Result<MemoryUsage> {
 pub fn build_size_report() -> Result<String> {
     let mut text = String::from("image          flash          RAM   (code)\n");
     for board in Board::ALL {
-        let size = measure_memory_usage(&firmware_images::build(board)?)?;
+        let size = measure_memory_usage(&firmware_images::build_board_image(board)?)?;
         writeln!(
             text,
             "{:<10} {:>6} B {:>2} %   {:>6} B {:>2} %   {:>6} B",

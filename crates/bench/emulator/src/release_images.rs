@@ -14,7 +14,7 @@ use crate::{
 /// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
 ///
 /// # Errors
-/// As [`firmware_images::build`] and [`build_flashable_files`].
+/// As [`firmware_images::build_board_image`] and [`build_flashable_files`].
 pub fn build_bundled_images() -> Result<PathBuf> {
     let folder = setup::project_root().join("target/carried");
     fs::create_dir_all(&folder)?;

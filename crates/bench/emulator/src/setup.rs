@@ -208,7 +208,7 @@ impl LockedLinuxCnc {
 ///
 /// # Errors
 /// There is a package, but it cannot be installed.
-pub fn ensure_linuxcnc() -> Result<Option<LockedLinuxCnc>> {
+pub fn install_and_lock_linuxcnc() -> Result<Option<LockedLinuxCnc>> {
     const LINUXCNC_PROGRAM: &str = "linuxcnc";
     const LINUXCNC_PACKAGE: &str = "linuxcnc-uspace";
     let installing = lock_setup()?;
@@ -304,7 +304,7 @@ pub fn install_quick_test_dependencies() -> Result<()> {
 /// Something is missing and cannot be had here.
 pub fn install_all_dependencies() -> Result<()> {
     install_quick_test_dependencies()?;
-    ensure_linuxcnc()?;
+    install_and_lock_linuxcnc()?;
     Ok(())
 }
 

@@ -15,7 +15,7 @@ use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
     firmware_build::{
-        self, FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, machine_file_hash,
+        self, FIRMWARE_PROGRAM, LinkedMachineFile, build_and_copy, hash_machine_file,
     },
     flash_image, image_check, setup,
 };
@@ -90,7 +90,7 @@ pub fn cargo_commands(verb: &str) -> Result<[Command; 2]> {
 /// # Errors
 /// As [`build_boot_program`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-{}-for-{}", slot.name(), machine_file_hash(machine)?);
+    let name = format!("stm32f405-{}-for-{}", slot.name(), hash_machine_file(machine)?);
     build_application_for_slot(slot, LinkedMachineFile::File(machine), None, &name, |_| Ok(()))
 }
 
@@ -130,7 +130,7 @@ pub fn build_flashable_files_for_machine(
     machine: &Path,
     version: FirmwareVersion,
 ) -> Result<FlashableFiles> {
-    let name = format!("stm32f405-{version}-for-{}", machine_file_hash(machine)?);
+    let name = format!("stm32f405-{version}-for-{}", hash_machine_file(machine)?);
     build_flashable_files(LinkedMachineFile::File(machine), &name, version)
 }
 
@@ -160,7 +160,8 @@ pub(crate) fn build_flashable_files(
     let image = build_combined_image(machine, name, version)?;
     let second = build_signed_image(Slot::B, machine, None, &format!("{name}-B"), version)?;
     let update =
-        [image_with_header(&image, Slot::A)?, image_with_header(&second, Slot::B)?].concat();
+        [read_image_with_header(&image, Slot::A)?, read_image_with_header(&second, Slot::B)?]
+            .concat();
     let path = image.with_extension("update");
     fs::write(&path, update)?;
     Ok(FlashableFiles { image, update: path })
@@ -174,10 +175,10 @@ fn build_signed_image(
     name: &str,
     version: FirmwareVersion,
 ) -> Result<PathBuf> {
-    let key = signing_key()?;
+    let key = load_signing_key()?;
     build_application_for_slot(slot, machine, boot, name, |image| {
         let file = build_signed_update(
-            &image_body(image, slot)?,
+            &read_image_body(image, slot)?,
             slot,
             version,
             FirmwareVersion::default(),
@@ -200,13 +201,13 @@ pub fn firmware_version() -> Result<FirmwareVersion> {
 
 /// Returns the key that images are signed with: the one that `TRUEUP_SIGNING_KEY` names, or that of developers. The boot
 /// program has its public half.
-fn signing_key() -> Result<PrivateKey> {
+fn load_signing_key() -> Result<PrivateKey> {
     let Ok(path) = env::var("TRUEUP_SIGNING_KEY") else {
         ensure!(
             env::var_os("TRUEUP_KEY").is_none(),
             "TRUEUP_KEY names the key of the boot program; TRUEUP_SIGNING_KEY has to name its private half"
         );
-        return development_key();
+        return load_development_key();
     };
     let key = PrivateKey::from_pem(&fs::read_to_string(&path).with_context(|| path.clone())?)
         .with_context(|| path.clone())?;
@@ -250,12 +251,12 @@ fn cargo_command(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Co
 ///
 /// # Errors
 /// The image cannot be read, or has bytes outside of its slot.
-pub fn image_body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
-    Ok(image_with_header(image, slot)?.split_off(HEADER_SIZE))
+pub fn read_image_body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
+    Ok(read_image_with_header(image, slot)?.split_off(HEADER_SIZE))
 }
 
 /// Returns the same with the header that the image has.
-fn image_with_header(image: &Path, slot: Slot) -> Result<Vec<u8>> {
+fn read_image_with_header(image: &Path, slot: Slot) -> Result<Vec<u8>> {
     let mut flash = flash_image::read_flash_image(image)?;
     let start = usize::try_from(slot.start() - flash_image::FLASH_START)?;
     let (first, end) = (start + HEADER_SIZE, start + SLOT_SIZE as usize);
@@ -272,10 +273,10 @@ fn image_with_header(image: &Path, slot: Slot) -> Result<Vec<u8>> {
 /// Returns the body of the small image of the tests with its behaviour and the name that it says.
 ///
 /// # Errors
-/// As [`image_body`].
-pub fn slot_test_body(image: &Path, slot: Slot, behaviour: u8, name: u8) -> Result<Vec<u8>> {
-    let mut body = image_body(image, slot)?;
-    let address = image_check::symbol_address(image, SLOT_TEST_SYMBOL)?
+/// As [`read_image_body`].
+pub fn build_slot_test_body(image: &Path, slot: Slot, behaviour: u8, name: u8) -> Result<Vec<u8>> {
+    let mut body = read_image_body(image, slot)?;
+    let address = image_check::find_symbol_address(image, SLOT_TEST_SYMBOL)?
         .context("the image has no settings")?;
     let at = usize::try_from(address - slot.start())? - HEADER_SIZE;
     let place = body.get_mut(at..at + 2).context("its settings are not in the image")?;
@@ -303,7 +304,7 @@ pub fn build_signed_update(
 ///
 /// # Errors
 /// It cannot be read.
-pub fn development_key() -> Result<PrivateKey> {
+pub fn load_development_key() -> Result<PrivateKey> {
     let path = setup::project_root().join("data/keys/development.pem");
     let pem = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
     PrivateKey::from_pem(&pem).with_context(|| path.display().to_string())

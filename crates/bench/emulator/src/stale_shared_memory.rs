@@ -27,7 +27,7 @@ pub(crate) fn remove_hal_segments() -> Result<()> {
 }
 
 /// Returns the keys of the segments that LinuxCNC was denied.
-pub(crate) fn denied_keys(text: &str) -> Vec<u32> {
+pub(crate) fn parse_denied_keys(text: &str) -> Vec<u32> {
     let key = |line: &str| {
         let (_, rest) = line.split_once("rtapi_shmem_new failed due to shmget(key=0x")?;
         let (key, reason) = rest.split_once(')')?;
@@ -79,6 +79,6 @@ mod tests {
         let message = "rtapi_shmem_new failed due to shmget(key=0x48484c34): Permission denied\n\
                     rtapi_shmem_new failed due to shmget(key=0x00000064): Invalid argument\n\
                     open(trueup.hal): Permission denied";
-        assert_eq!(denied_keys(message), [0x4848_4c34]);
+        assert_eq!(parse_denied_keys(message), [0x4848_4c34]);
     }
 }

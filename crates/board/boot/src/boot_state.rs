@@ -54,7 +54,7 @@ impl ImageStatus {
 
     /// Returns whether the image starts before all that are not: neither incomplete nor failed.
     #[must_use]
-    pub const fn is_eligible(self) -> bool {
+    pub const fn is_preferred(self) -> bool {
         !matches!(self, Self::Loading | Self::Rejected)
     }
 

@@ -10,6 +10,6 @@ pub(crate) fn checksum(bytes: &[u8]) -> u32 {
 }
 
 /// Returns a CRC of parts.
-pub(crate) fn digest() -> crc::Digest<'static, u32> {
+pub(crate) fn incremental_checksum() -> crc::Digest<'static, u32> {
     CRC.digest()
 }

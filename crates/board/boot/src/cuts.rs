@@ -13,7 +13,7 @@
 
 use std::{println, vec::Vec};
 
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
 use crate::{
     boot_state::ImageStatus,
@@ -23,8 +23,8 @@ use crate::{
     journal::Journal,
     start::{ClockSpeed, StartOutcome, StartReason, StartSelection, select_image},
     testing::{
-        JOURNAL_SECTOR_BYTES, PowerSupply, PoweredFlash, SLOT_BYTES, TEST_KEY, flash_by_probe,
-        signed_image, with_supply,
+        PowerSupply, PoweredFlash, TEST_JOURNAL_SECTOR_BYTES, TEST_KEY, TEST_SLOT_BYTES,
+        flash_by_probe, signed_image, with_supply,
     },
     update::{ImageUpdate, confirm},
 };
@@ -40,7 +40,7 @@ enum TrialOutcome {
 
 /// Statements and acts of the board that have to hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct ExpectedState {
+struct ObservedEvents {
     /// The update was acknowledged.
     update: bool,
     /// The confirmation began; it was acknowledged.
@@ -54,9 +54,9 @@ struct ExpectedState {
 /// The content of both flashes, and what was promised.
 #[derive(Clone)]
 struct PowerCutBoard {
-    records: StrictFlash<JOURNAL_SECTOR_BYTES>,
-    slots: StrictFlash<SLOT_BYTES>,
-    promised: ExpectedState,
+    records: SimulatedNorFlash<TEST_JOURNAL_SECTOR_BYTES>,
+    slots: SimulatedNorFlash<TEST_SLOT_BYTES>,
+    promised: ObservedEvents,
     files: [Vec<u8>; 2],
     context: [usize; 3],
 }
@@ -68,9 +68,9 @@ impl PowerCutBoard {
     /// Version 1 runs in slot A, confirmed; as many other states were stored before.
     fn new(seed: u32, before: u32) -> Self {
         let files = [signed_image(Slot::A, 1, 0), signed_image(Slot::B, 2, 2)];
-        let mut slots = StrictFlash::with_unstable_bits(seed);
+        let mut slots = SimulatedNorFlash::with_unstable_bits(seed);
         flash_by_probe(&mut slots, Slot::A, &files[0]);
-        let mut journal = Journal::open(StrictFlash::with_unstable_bits(seed ^ 0x5555));
+        let mut journal = Journal::open(SimulatedNorFlash::with_unstable_bits(seed ^ 0x5555));
         let running =
             crate::image_check::read_header(&mut slots, Slot::A, FirmwareVersion::default());
         let running = running.expect("it was just written");
@@ -81,7 +81,7 @@ impl PowerCutBoard {
         confirm(&mut journal, &running).expect("powered");
         let records = journal.into_flash();
         let context = [seed as usize, 0, 0];
-        Self { records, slots, promised: ExpectedState::default(), files, context }
+        Self { records, slots, promised: ObservedEvents::default(), files, context }
     }
 
     /// Runs work with both flashes at a supply.
@@ -89,8 +89,8 @@ impl PowerCutBoard {
         &mut self,
         supply: &PowerSupply,
         work: impl FnOnce(
-            &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
-            &mut PoweredFlash<SLOT_BYTES>,
+            &mut Journal<PoweredFlash<TEST_JOURNAL_SECTOR_BYTES>>,
+            &mut PoweredFlash<TEST_SLOT_BYTES>,
         ) -> T,
     ) -> T {
         with_supply(&mut self.records, &mut self.slots, supply, work)
@@ -113,11 +113,11 @@ impl PowerCutBoard {
         let start = start.unwrap_or_else(|| panic!("no slot starts: {context:?}"));
         let slot = start.image.header.slot;
         let file = slot.element_of(&self.files);
-        let from = usize::from(slot.number()) * SLOT_BYTES;
+        let from = usize::from(slot.number()) * TEST_SLOT_BYTES;
         assert_eq!(self.slots.bytes[from..from + file.len()], *file, "{context:?}");
         let wavers = self.slots.wavering.range(from..from + file.len()).any(|(_, bits)| *bits != 0);
         assert!(!wavers, "it starts an image that wavers: {context:?}");
-        let ExpectedState { update, confirming, confirmed, crashed, rejected } = self.promised;
+        let ObservedEvents { update, confirming, confirmed, crashed, rejected } = self.promised;
         assert!(!confirmed || slot == Slot::B, "confirmed, and gone: {context:?}");
         assert!(!rejected || slot == Slot::A, "rejected, and back: {context:?}");
         assert!(!update || crashed || slot == Slot::B, "loaded, and not started: {context:?}");

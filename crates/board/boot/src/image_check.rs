@@ -138,9 +138,9 @@ pub fn check_image<S: ReadNorFlash, K: VerifyingKey>(
         return Err(ImageDefect::Signature);
     }
     between();
-    let mut crc = crc::digest();
+    let mut crc = crc::incremental_checksum();
     let mut sha = key.map(|_| Sha256::new());
-    let start = slot_start(slots, header.slot);
+    let start = slot_offset(slots, header.slot);
     let mut part = [0; READ_CHUNK_BYTES];
     let mut at = HEADER_SIZE;
     let length = usize::try_from(header.length).map_err(|_| ImageDefect::Length)?;
@@ -168,7 +168,7 @@ pub(crate) fn read_header_bytes<S: ReadNorFlash>(
     slot: Slot,
 ) -> Result<[u8; HEADER_SIZE], ImageDefect> {
     let mut bytes = [0; HEADER_SIZE];
-    let start = slot_start(slots, slot);
+    let start = slot_offset(slots, slot);
     slots.read(start, &mut bytes).map_err(|_| ImageDefect::Unreadable)?;
     Ok(bytes)
 }
@@ -179,7 +179,7 @@ pub(crate) fn slot_size<S: ReadNorFlash>(slots: &S) -> u32 {
 }
 
 /// Offset of a slot in the flash that holds both.
-pub(crate) fn slot_start<S: ReadNorFlash>(slots: &S, slot: Slot) -> u32 {
+pub(crate) fn slot_offset<S: ReadNorFlash>(slots: &S, slot: Slot) -> u32 {
     match slot {
         Slot::A => 0,
         Slot::B => slot_size(slots),

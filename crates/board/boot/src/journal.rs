@@ -171,7 +171,7 @@ impl<F: NorFlash> Journal<F> {
             }
             let address = self.entry_address(self.active, self.next);
             self.next = self.next.saturating_add(1);
-            if self.program_entry(address, &bytes) {
+            if self.program_and_verify_entry(address, &bytes) {
                 return Ok(());
             }
         }
@@ -179,7 +179,7 @@ impl<F: NorFlash> Journal<F> {
     }
 
     /// Writes an entry, its first word before the others; returns whether it is read back unchanged.
-    fn program_entry(&mut self, address: u32, bytes: &[u8; JOURNAL_ENTRY_SIZE]) -> bool {
+    fn program_and_verify_entry(&mut self, address: u32, bytes: &[u8; JOURNAL_ENTRY_SIZE]) -> bool {
         let (claim, content) = bytes.split_at(CLAIM_WORD_BYTES);
         let mut back = [0xFF; JOURNAL_ENTRY_SIZE];
         self.flash.write(address, claim).is_ok()
@@ -232,11 +232,11 @@ impl<F: NorFlash> Journal<F> {
 mod tests {
     use super::*;
     use crate::{boot_state::ImageStatus, flash_layout::Slot, image_header::FirmwareVersion};
-    use trueup_store::strict_flash::StrictFlash;
+    use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
     /// Room for four states.
     const SECTOR: usize = 8 * JOURNAL_ENTRY_SIZE;
-    type Flash = StrictFlash<SECTOR>;
+    type Flash = SimulatedNorFlash<SECTOR>;
 
     fn state(number: u32) -> BootState {
         BootState { floor: FirmwareVersion(number), ..BootState::default() }.with_status(

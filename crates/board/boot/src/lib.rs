@@ -45,7 +45,7 @@ pub mod image_check;
 pub mod image_header;
 pub mod journal;
 pub mod public_key;
-pub mod refusal_reason;
+pub mod reject_reason;
 pub mod start;
 #[cfg(test)]
 mod testing;

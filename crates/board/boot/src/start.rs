@@ -95,7 +95,7 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     let all = || candidates.iter().flatten();
     // On a slow clock first those whose signature is known to hold; a slow start is better than none.
     let known = |candidate: &&SlotCandidate| {
-        candidate.status.is_eligible() && (!is_slow || candidate.status.is_verified())
+        candidate.status.is_preferred() && (!is_slow || candidate.status.is_verified())
     };
     let chosen = all().filter(known).find(|candidate| holds(candidate, is_slow));
     let chosen = chosen.or_else(|| all().find(|candidate| holds(candidate, is_slow)))?;
@@ -117,7 +117,7 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     };
     // The other one is only to be there: its signature is verified when it starts.
     let Some(back) =
-        other.filter(|candidate| candidate.status.is_eligible() && holds(candidate, true))
+        other.filter(|candidate| candidate.status.is_preferred() && holds(candidate, true))
     else {
         return start(chosen, StartReason::OnlyImage);
     };
@@ -164,7 +164,7 @@ fn order_candidates(
     });
     let rank = |candidate: Option<SlotCandidate>| {
         candidate.map(|SlotCandidate { image, status }| {
-            (status.is_eligible(), image.header.version, status == ImageStatus::Confirmed)
+            (status.is_preferred(), image.header.version, status == ImageStatus::Confirmed)
         })
     };
     if rank(b) > rank(a) { [b, a] } else { [a, b] }

@@ -6,7 +6,7 @@ use core::cell::Cell;
 use std::{rc::Rc, vec::Vec};
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
 use crate::{
     boot_state::JOURNAL_ENTRY_SIZE,
@@ -18,9 +18,9 @@ use crate::{
 };
 
 /// Bytes of a sector of the records: room for four states.
-pub const JOURNAL_SECTOR_BYTES: usize = 8 * JOURNAL_ENTRY_SIZE;
+pub const TEST_JOURNAL_SECTOR_BYTES: usize = 8 * JOURNAL_ENTRY_SIZE;
 /// Bytes of a slot.
-pub(crate) const SLOT_BYTES: usize = HEADER_SIZE + 128;
+pub(crate) const TEST_SLOT_BYTES: usize = HEADER_SIZE + 128;
 
 /// The supply of both flashes: bytes that can still be written or erased, and whether it is off.
 #[derive(Clone, Debug, Default)]
@@ -51,18 +51,18 @@ impl PowerSupply {
 /// A flash at a supply.
 #[derive(Debug)]
 pub(crate) struct PoweredFlash<const SECTOR: usize> {
-    pub flash: StrictFlash<SECTOR>,
+    pub flash: SimulatedNorFlash<SECTOR>,
     pub supply: PowerSupply,
 }
 
 impl<const SECTOR: usize> PoweredFlash<SECTOR> {
-    pub fn new(flash: &StrictFlash<SECTOR>, supply: &PowerSupply) -> Self {
+    pub fn new(flash: &SimulatedNorFlash<SECTOR>, supply: &PowerSupply) -> Self {
         Self { flash: flash.with_power_restored(), supply: supply.clone() }
     }
 
     fn run_powered(
         &mut self,
-        work: impl FnOnce(&mut StrictFlash<SECTOR>) -> Result<(), NorFlashErrorKind>,
+        work: impl FnOnce(&mut SimulatedNorFlash<SECTOR>) -> Result<(), NorFlashErrorKind>,
     ) -> Result<(), NorFlashErrorKind> {
         if self.supply.is_off() {
             return Err(NorFlashErrorKind::Other);
@@ -142,20 +142,24 @@ pub(crate) fn image_signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) 
 }
 
 /// Writes a file as a probe does.
-pub(crate) fn flash_by_probe(slots: &mut StrictFlash<SLOT_BYTES>, slot: Slot, file: &[u8]) {
-    let start = usize::from(slot.number()) * SLOT_BYTES;
-    slots.bytes[start..start + SLOT_BYTES].fill(0xFF);
+pub(crate) fn flash_by_probe(
+    slots: &mut SimulatedNorFlash<TEST_SLOT_BYTES>,
+    slot: Slot,
+    file: &[u8],
+) {
+    let start = usize::from(slot.number()) * TEST_SLOT_BYTES;
+    slots.bytes[start..start + TEST_SLOT_BYTES].fill(0xFF);
     slots.bytes[start..start + file.len()].copy_from_slice(file);
 }
 
 /// Runs work with both flashes at a supply.
 pub(crate) fn with_supply<T>(
-    records: &mut StrictFlash<JOURNAL_SECTOR_BYTES>,
-    slots: &mut StrictFlash<SLOT_BYTES>,
+    records: &mut SimulatedNorFlash<TEST_JOURNAL_SECTOR_BYTES>,
+    slots: &mut SimulatedNorFlash<TEST_SLOT_BYTES>,
     supply: &PowerSupply,
     work: impl FnOnce(
-        &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
-        &mut PoweredFlash<SLOT_BYTES>,
+        &mut Journal<PoweredFlash<TEST_JOURNAL_SECTOR_BYTES>>,
+        &mut PoweredFlash<TEST_SLOT_BYTES>,
     ) -> T,
 ) -> T {
     let mut both =

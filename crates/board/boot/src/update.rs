@@ -12,8 +12,8 @@ use crate::{
     boot_state::ImageStatus,
     flash_layout::Slot,
     image_check::{
-        Image, ImageDefect, VerifyingKey, check_header, check_image, read_header, slot_size,
-        slot_start,
+        Image, ImageDefect, VerifyingKey, check_header, check_image, read_header, slot_offset,
+        slot_size,
     },
     image_header::{FirmwareVersion, HEADER_SIZE},
     journal::{Journal, JournalWriteError},
@@ -96,12 +96,12 @@ impl ImageUpdate {
         }
         let is_confirmed = state.status(running.header.slot, running.tag) == ImageStatus::Confirmed;
         let has_other = read_header(slots, spare, state.floor)
-            .is_ok_and(|other| state.status(spare, other.tag).is_eligible());
+            .is_ok_and(|other| state.status(spare, other.tag).is_preferred());
         if has_other && !is_confirmed {
             return Err(UpdateError::Unconfirmed);
         }
         journal.commit(state.with_status(spare, image.tag, ImageStatus::Loading))?;
-        let start = slot_start(slots, spare);
+        let start = slot_offset(slots, spare);
         let end = start.saturating_add(size);
         slots.erase(start, end).map_err(|_| UpdateError::Flash)?;
         let mut update = Self { image, received: 0, part: [0xFF; WRITE_CHUNK_BYTES] };
@@ -161,7 +161,7 @@ impl ImageUpdate {
         let size = size.saturating_add(1);
         let bytes = self.part.get(..size).ok_or(UpdateError::Length)?;
         let at = self.received.saturating_sub(u32::try_from(size).unwrap_or(0));
-        let address = slot_start(slots, self.image.header.slot).saturating_add(at);
+        let address = slot_offset(slots, self.image.header.slot).saturating_add(at);
         slots.write(address, bytes).map_err(|_| UpdateError::Flash)?;
         let mut back = [0; WRITE_CHUNK_BYTES];
         let back = back.get_mut(..size).ok_or(UpdateError::Length)?;

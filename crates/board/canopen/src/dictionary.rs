@@ -103,7 +103,7 @@ pub enum AccessType {
 impl AccessType {
     /// Returns whether a master may write it.
     #[must_use]
-    pub(crate) const fn can_write(self) -> bool {
+    pub(crate) const fn is_writable(self) -> bool {
         matches!(self, Self::ReadWrite | Self::Write)
     }
 }

@@ -146,8 +146,8 @@ impl EmergencyProducer {
             (Fault::ALL.into_iter().find(has_gone)?, 0)
         };
         if code == 0 {
-            self.reported = self.reported.without(fault);
-            self.seen = self.seen.without(fault);
+            self.reported = self.reported.without_fault(fault);
+            self.seen = self.seen.without_fault(fault);
         } else {
             self.reported = self.reported.with_fault_if(true, fault);
             self.push_history(code, fault);
@@ -169,7 +169,7 @@ impl EmergencyProducer {
 
     /// Returns how many errors are remembered.
     #[must_use]
-    pub fn error_count(&self) -> usize {
+    pub fn history_len(&self) -> usize {
         self.history.len()
     }
 

@@ -257,7 +257,7 @@ impl Faults {
 
     /// Returns these without `fault`.
     #[must_use]
-    pub const fn without(self, fault: Fault) -> Self {
+    pub const fn without_fault(self, fault: Fault) -> Self {
         Self(self.0 & !(1 << fault as u32))
     }
 

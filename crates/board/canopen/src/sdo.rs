@@ -277,7 +277,7 @@ impl SdoServer {
         let was_waiting = matches!(self.phase, TransferState::Waiting { .. });
         self.phase = TransferState::Idle;
         let entry = find_entry(at)?;
-        if !entry.access.can_write() {
+        if !entry.access.is_writable() {
             return Err(AbortCode::ReadOnly);
         }
         let (is_expedited, has_size) = (command & 2 != 0, command & 1 != 0);
@@ -337,7 +337,7 @@ impl SdoServer {
         }
         self.phase = TransferState::Download { at, entry, incoming, toggle: !toggle };
         if command & 1 == 0 {
-            return Ok(Some(segment_response(toggle)));
+            return Ok(Some(encode_segment_response(toggle)));
         }
         if incoming.announced.is_some_and(|announced| length != announced) {
             return Err(AbortCode::Length);
@@ -347,12 +347,12 @@ impl SdoServer {
             Some(size) => objects.write(entry.what, number_from_bytes(incoming.number, size))?,
             None => {
                 objects.close(entry.what)?;
-                self.phase = TransferState::Waiting { at, answer: segment_response(toggle) };
+                self.phase = TransferState::Waiting { at, answer: encode_segment_response(toggle) };
                 return Ok(None);
             }
         }
         self.phase = TransferState::Idle;
-        Ok(Some(segment_response(toggle)))
+        Ok(Some(encode_segment_response(toggle)))
     }
 }
 
@@ -383,6 +383,6 @@ fn encode_message(command: u8, (index, subindex): ObjectAddress, number: u32) ->
     [command, low, high, subindex, a, b, c, d]
 }
 
-fn segment_response(toggle: bool) -> [u8; 8] {
+fn encode_segment_response(toggle: bool) -> [u8; 8] {
     [0x20 | u8::from(toggle) << 4, 0, 0, 0, 0, 0, 0, 0]
 }

@@ -99,7 +99,7 @@ impl AxisErrors {
 }
 
 /// The errors at a place, cached from message to message: what an axis that moves or a thermometer
-/// does not change is not computed again. [`Self::sum_parts`] makes [`Self::errors`] of the parts.
+/// does not change is not computed again. [`Self::sum_guideway_errors`] makes [`Self::errors`] of the parts.
 ///
 /// The parts that depend on one axis cost 497 instructions (median) on the gantry of `data/`, with two or three
 /// curves and tables (`cargo measure`).
@@ -107,7 +107,7 @@ impl AxisErrors {
 pub struct CachedErrors {
     errors: AxisErrors,
     /// The tables that a position lies outside of: those of the positioning from [`FIRST_POSITIONING_INDEX`] on, of
-    /// the guides from [`FIRST_GUIDE_INDEX`] on, of the angles from [`FIRST_ANGLE_INDEX`] on, and [`TERMS_INDEX`].
+    /// the guides from [`FIRST_GUIDEWAY_INDEX`] on, of the angles from [`FIRST_ANGLE_INDEX`] on, and [`TERMS_INDEX`].
     outside: IndexSet,
     /// Straightness and squareness, in the order of [`STRAIGHTNESS_AXIS_PAIRS`].
     guides: [FineNanometres; 6],
@@ -115,7 +115,7 @@ pub struct CachedErrors {
 }
 
 const FIRST_POSITIONING_INDEX: usize = 0;
-const FIRST_GUIDE_INDEX: usize = 3;
+const FIRST_GUIDEWAY_INDEX: usize = 3;
 const FIRST_ANGLE_INDEX: usize = 9;
 const TERMS_INDEX: usize = 12;
 
@@ -140,7 +140,11 @@ const STRAIGHTNESS_INDICES_BY_AXIS: [[usize; 2]; 3] = {
 impl Calibration<'_> {
     /// Returns the errors of the axes at a place.
     #[must_use]
-    pub fn axis_errors(&self, heat: &MachineThermalState, place: &MachinePosition) -> AxisErrors {
+    pub fn compute_axis_errors(
+        &self,
+        heat: &MachineThermalState,
+        place: &MachinePosition,
+    ) -> AxisErrors {
         *CachedErrors::from_position(self, heat, place).errors()
     }
 }
@@ -160,7 +164,7 @@ impl CachedErrors {
             all.insert(axis as usize);
         }
         cached.update_axis_positions(calibration, heat, place, all);
-        cached.sum_parts(calibration, place);
+        cached.sum_guideway_errors(calibration, place);
         cached
     }
 
@@ -183,11 +187,11 @@ impl CachedErrors {
         for (name, axis) in LinearAxis::ALL.into_iter().zip(&calibration.axes) {
             // A beam's error changes where it is crossed, too.
             if name == moved || axis.dual.is_some_and(|dual| dual.across == moved) {
-                self.update_positioning(axis, name, place);
+                self.update_positioning_error(axis, name, place);
             }
         }
         self.update_axis_thermal_error(calibration, heat, place, moved);
-        self.update_guides(calibration, place, moved);
+        self.update_guideway_errors(calibration, place, moved);
         self.update_terms(calibration, heat, place);
     }
 
@@ -202,11 +206,11 @@ impl CachedErrors {
         for (name, axis) in LinearAxis::ALL.into_iter().zip(&calibration.axes) {
             let has_moved = moved.contains(name as usize);
             if has_moved || axis.dual.is_some_and(|dual| moved.contains(dual.across as usize)) {
-                self.update_positioning(axis, name, place);
+                self.update_positioning_error(axis, name, place);
             }
             if has_moved {
                 self.update_axis_thermal_error(calibration, heat, place, name);
-                self.update_guides(calibration, place, name);
+                self.update_guideway_errors(calibration, place, name);
             }
         }
         self.update_terms(calibration, heat, place);
@@ -214,7 +218,7 @@ impl CachedErrors {
 
     /// Updates pitch and backlash of an axis.
     #[inline(always)]
-    fn update_positioning(
+    fn update_positioning_error(
         &mut self,
         axis: &AxisModel<'_>,
         name: LinearAxis,
@@ -230,7 +234,7 @@ impl CachedErrors {
 
     /// Updates straightness, squareness and angles over the travel of an axis.
     #[inline(always)]
-    fn update_guides(
+    fn update_guideway_errors(
         &mut self,
         calibration: &Calibration<'_>,
         place: &MachinePosition,
@@ -250,7 +254,7 @@ impl CachedErrors {
                     gradient => straightness
                         .saturating_add(gradient.error_over_travel(Position(0), position)),
                 };
-                self.outside.set(FIRST_GUIDE_INDEX.wrapping_add(number), outside);
+                self.outside.set(FIRST_GUIDEWAY_INDEX.wrapping_add(number), outside);
             }
         }
         if let Some(volume) = &calibration.volume {
@@ -267,7 +271,7 @@ impl CachedErrors {
     }
 
     /// Adds the parts up after axes have moved, rotary axes turned or terms changed.
-    pub fn sum_parts(&mut self, calibration: &Calibration<'_>, place: &MachinePosition) {
+    pub fn sum_guideway_errors(&mut self, calibration: &Calibration<'_>, place: &MachinePosition) {
         // Two guides an axis, in the order of `STRAIGHTNESS_AXIS_PAIRS`.
         for (error, [first, second]) in
             self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0)
@@ -416,11 +420,11 @@ mod tests {
         ] {
             place.position = positions.map(Position);
             cached.update_axis_position(&calibration, &heat, &place, moved);
-            cached.sum_parts(&calibration, &place);
+            cached.sum_guideway_errors(&calibration, &place);
             let errors = cached.errors();
             assert!((errors.axes[0].positioning.0 - error).abs() <= 1, "{positions:?}: {errors:?}");
             assert_eq!((errors.outside, errors.axes[1].positioning), (outside, FineNanometres(0)));
-            assert_eq!(*errors, calibration.axis_errors(&heat, &place));
+            assert_eq!(*errors, calibration.compute_axis_errors(&heat, &place));
         }
         // Y turns round.
         let config = calibration.axes[1].travel;
@@ -453,7 +457,8 @@ mod tests {
         for (number, machine) in all.iter().enumerate() {
             // The second guide is X over Z.
             for (z, outside) in [(0, false), (100, false), (101, true), (-1, true)] {
-                let errors = machine.axis_errors(&MachineThermalState::default(), &at([0, 0, z]));
+                let errors =
+                    machine.compute_axis_errors(&MachineThermalState::default(), &at([0, 0, z]));
                 assert_eq!(errors.outside, outside, "machine {number} at {z}");
             }
         }

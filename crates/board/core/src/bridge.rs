@@ -36,11 +36,11 @@
 //! counts for a whole tick of the node 1,669 instructions (median; 2,194 where the spindle speed has changed and a
 //! part of the heat is stepped; the sources are asked what they would say in a millisecond of their own). With a
 //! volume the tick that follows a message adds it up
-//! ([`CachedErrors::sum_parts`](crate::axis_errors::CachedErrors::sum_parts), 374), once for all positions and angles that came:
+//! ([`CachedErrors::sum_guideway_errors`](crate::axis_errors::CachedErrors::sum_guideway_errors), 374), once for all positions and angles that came:
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check_codes) | 294 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 444 |
+//! | [`SensorHealthMonitor`](crate::sensor_health::SensorHealthMonitor::check_and_clean_codes) | 294 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 444 |
 //! | [`Filter::tick`](crate::run_out_filter::RunOutFilter::tick) | 300 | angles: [`Kinematics::tool_direction`](crate::kinematics::Kinematics::tool_direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::displacement_sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`RevolutionWindow::for_speed`](crate::revolution_window::RevolutionWindow::for_speed) | 49 |
 //! | [`AppliedOffset::step`](crate::limits::AppliedOffset::step) | 180 | | |
@@ -66,12 +66,12 @@ pub use self::conditions::CONDITIONS_TIMEOUT_FACTOR;
 pub use self::lost_inputs::LostInputs;
 use self::required_inputs::RequiredInputs;
 pub use self::slope::{ConstantAndSlope, SLOPE_RESOLUTION_NM};
-pub use self::source_agreement::{MIN_DISAGREEMENT_NM, MIN_DISAGREEMENT_STEPS};
+pub use self::source_agreement::{DISAGREEMENT_THRESHOLD_NM, MIN_DISAGREEMENT_STEPS};
 pub use self::source_selection::SOURCE_RETURN_DELAY_MS;
 use self::state::{Age, OffsetMode};
 pub use self::state::{
-    BridgeState, JUMP_REPORT_DURATION_MS, POSITION_JITTER_MS, ReferenceErrors, SAMPLES_TIMEOUT_MS,
-    STALE_DURATION_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS,
+    BridgeState, JUMP_REPORT_DURATION_MS, MAX_POSITION_JITTER_MS, ReferenceErrors,
+    SAMPLES_TIMEOUT_MS, STALE_DURATION_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS,
 };
 use crate::{
     axis_errors::ErrorSums,
@@ -79,7 +79,7 @@ use crate::{
     cnc::{CncMessage, Control, LinearAxis, OffsetFlags, OffsetQuality, Output, RotaryAxisAngles},
     design_parameters::{CODES_PER_TICK, TEMPERATURE_CHANNEL_COUNT, THERMAL_STEP_MS},
     index_set::IndexSet,
-    learned::LearnedChangeRequest,
+    learned_changes::LearnedChangeRequest,
     limits::LimitStatus,
     retained_lags::RetainedLags,
     revolution_window,
@@ -150,7 +150,7 @@ impl<'a> Bridge<'a> {
         // already set has asked for nothing.
         let was = state.control.fresh_value(self.calibration.limits.link_timeout_ms);
         if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
-            state.zeroed |= self.set_reference(state);
+            state.zeroed |= self.try_set_reference(state);
         }
         state.control.receive(control);
         state.cnc_known = true;
@@ -175,7 +175,7 @@ impl<'a> Bridge<'a> {
                 if let Some(axis) = self.calibration.axes.get(received.axis as usize)
                     && state.receive_position(received, axis)
                 {
-                    self.update_or_defer(state, ErrorInput::Axis(received.axis));
+                    self.update_or_defer_errors(state, ErrorInput::Axis(received.axis));
                 }
             }
         }
@@ -213,7 +213,7 @@ impl<'a> Bridge<'a> {
         self.step_thermal(state, elapsed_ms, speed);
 
         let chosen = self.select_source(state, elapsed_ms);
-        let place = self.has_positions(state);
+        let place = self.has_cnc_inputs(state);
         let fresh = self.step_conditions(state, elapsed_ms)
             && chosen != SelectedSource::Missing
             && place
@@ -224,7 +224,8 @@ impl<'a> Bridge<'a> {
         match mode {
             OffsetMode::Follow => {
                 let errors = self.axis_errors(state);
-                let (target, clamped) = self.compute_target(state, self.elongation(state), &errors);
+                let (target, clamped) =
+                    self.compute_target_offset(state, self.elongation(state), &errors);
                 state.joint.is_anchored = true;
                 status = state.applied.step(limits, target, elapsed_ms);
                 status.clamped |= clamped | errors.clamped;
@@ -251,7 +252,7 @@ impl<'a> Bridge<'a> {
             },
             OffsetMode::Hold => OffsetQuality::Hold,
             OffsetMode::RampOut if !state.applied.is_zero() => OffsetQuality::RampingOut,
-            OffsetMode::RampOut if state.inhibited || self.is_faulty(state, chosen) => {
+            OffsetMode::RampOut if state.inhibited || self.has_input_fault(state, chosen) => {
                 OffsetQuality::Fault
             }
             OffsetMode::RampOut => OffsetQuality::Off,
@@ -296,8 +297,9 @@ impl<'a> Bridge<'a> {
         }
         state.codes_age = Age::ZERO;
         let supply = state.supply_scale();
-        let turns = speed.is_some_and(|speed| speed.0 > revolution_window::MIN_AVERAGED_SPEED.0);
-        let clean = state.health.check_codes(codes, turns).zip(supply);
+        let turns =
+            speed.is_some_and(|speed| speed.0 > revolution_window::MIN_SPEED_FOR_REVOLUTION_MEAN.0);
+        let clean = state.health.check_and_clean_codes(codes, turns).zip(supply);
         state.believable = clean.is_some();
         match clean {
             None => state.filter.clear(),
@@ -323,7 +325,7 @@ impl<'a> Bridge<'a> {
             state.phase_ms = phase.saturating_add(1);
             let phase = phase as usize;
             if phase <= SOURCE_SELECTION_PHASE {
-                self.step_slow_phase(state, phase, speed);
+                self.step_thermal_phase(state, phase, speed);
             }
         }
     }
@@ -331,12 +333,12 @@ impl<'a> Bridge<'a> {
     /// Does the work of one of the first milliseconds of each 100: a temperature channel, the shift of a source, or a
     /// part of the heat.
     #[inline(never)]
-    fn step_slow_phase(&self, state: &mut BridgeState, phase: usize, speed: Option<Rpm>) {
+    fn step_thermal_phase(&self, state: &mut BridgeState, phase: usize, speed: Option<Rpm>) {
         let Some(item) = phase.checked_sub(TEMPERATURE_CHANNEL_COUNT) else {
             return self.read_temperature(state, phase);
         };
         if phase == SOURCE_SELECTION_PHASE {
-            return self.decay_source_shift(state);
+            return self.step_source_transfer(state);
         }
         if item == 0 {
             self.update_thermal_state_validity(state);
@@ -398,7 +400,7 @@ impl<'a> Bridge<'a> {
             let raw = if fresh { *raw } else { RawTemperatureReading::NONE };
             let reading = thermometer.convert_with_supply(raw, state.supply_scale());
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
-            let believed = state.channels.receive_rate_limited_reading(number, reading, &limit);
+            let believed = state.channels.receive_reading_with_limit(number, reading, &limit);
             if let Some(steady) = state.steady.get_mut(number) {
                 steady.update(believed, thermometer.dead_band());
             }
@@ -421,7 +423,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Returns whether the positions and angles are there that the CNC sends.
-    fn has_positions(&self, state: &BridgeState) -> bool {
+    fn has_cnc_inputs(&self, state: &BridgeState) -> bool {
         let mut positions = self.needs.position_ms.iter().zip(&state.position_age);
         let timeout_ms = self.calibration.limits.link_timeout_ms;
         positions.all(|(longest, age)| !age.is_older_than(*longest))
@@ -431,7 +433,7 @@ impl<'a> Bridge<'a> {
 
     /// Returns whether an input of the board itself is broken for which there is no other, or what it would
     /// follow is not known. An input that has only not come yet is not broken.
-    fn is_faulty(&self, state: &BridgeState, chosen: SelectedSource) -> bool {
+    fn has_input_fault(&self, state: &BridgeState, chosen: SelectedSource) -> bool {
         let lacks_heat = || {
             state.heat.is_unknown()
                 && (chosen == SelectedSource::Missing || !self.has_temperatures(state))
@@ -445,7 +447,7 @@ impl<'a> Bridge<'a> {
     /// axis was held at its limit.
     // A part of the tick: a call costs 17 instructions.
     #[inline(always)]
-    fn compute_target(
+    fn compute_target_offset(
         &self,
         state: &BridgeState,
         elongation: Nanometres,

@@ -1,7 +1,7 @@
 //! The messages between the bridge and the CNC, apart from how they look on the wire.
 
 use crate::{
-    learned::LearnedChangeRequest,
+    learned_changes::LearnedChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 

@@ -1,6 +1,6 @@
 //! Clamp and slew limit: how far and how fast an offset may go.
 
-use crate::{learned::LearnedLimits, units::Nanometres};
+use crate::{learned_changes::LearnedLimits, units::Nanometres};
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

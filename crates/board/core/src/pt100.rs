@@ -77,7 +77,7 @@ const fn round_to_nearest(value: f64) -> i32 {
 }
 
 /// Returns the cubic through the equation at 0, ¼, ¾ and 1 of the piece that begins at `start` µΩ.
-const fn fit_cubic(start: f64) -> CubicCoefficients {
+const fn interpolate_cubic(start: f64) -> CubicCoefficients {
     const UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
     const PIECE_WIDTH_MICRO_OHMS: f64 = (1 << PIECE_WIDTH_BITS) as f64;
     const R0_MICRO_OHMS: f64 = R0.0 as f64;
@@ -111,7 +111,7 @@ const fn build_cubics() -> [CubicCoefficients; PIECE_COUNT] {
     let mut start = R0.0 - (PIECES_BELOW_R0 << PIECE_WIDTH_BITS);
     let mut piece = 0;
     while piece < PIECE_COUNT {
-        table[piece] = fit_cubic(start as f64);
+        table[piece] = interpolate_cubic(start as f64);
         start += 1 << PIECE_WIDTH_BITS;
         piece += 1;
     }
@@ -165,12 +165,13 @@ pub fn temperature_from_resistance(r: MicroOhms) -> Result<Temperature, Resistan
 pub const fn resistance_from_temperature(t: Temperature) -> MicroOhms {
     // w = t/2³¹ units in Q31. The coefficients are in ¼ µΩ, doubled once for every w.
     const FULL_SCALE_KELVIN: f64 = 2_147_483_648.0 / Temperature::PER_KELVIN as f64;
-    const R0_QUARTER_MICRO_OHMS: f64 = 4.0 * R0.0 as f64;
-    const C1: i32 = round_to_nearest(R0_QUARTER_MICRO_OHMS * A * FULL_SCALE_KELVIN * 2.0);
-    const C2: i32 =
-        round_to_nearest(R0_QUARTER_MICRO_OHMS * B * FULL_SCALE_KELVIN * FULL_SCALE_KELVIN * 4.0);
+    const R0_IN_QUARTER_MICRO_OHMS: f64 = 4.0 * R0.0 as f64;
+    const C1: i32 = round_to_nearest(R0_IN_QUARTER_MICRO_OHMS * A * FULL_SCALE_KELVIN * 2.0);
+    const C2: i32 = round_to_nearest(
+        R0_IN_QUARTER_MICRO_OHMS * B * FULL_SCALE_KELVIN * FULL_SCALE_KELVIN * 4.0,
+    );
     const C3: i32 = round_to_nearest(
-        R0_QUARTER_MICRO_OHMS
+        R0_IN_QUARTER_MICRO_OHMS
             * C
             * -100.0
             * FULL_SCALE_KELVIN
@@ -179,7 +180,7 @@ pub const fn resistance_from_temperature(t: Temperature) -> MicroOhms {
             * 8.0,
     );
     const C4: i32 = round_to_nearest(
-        R0_QUARTER_MICRO_OHMS
+        R0_IN_QUARTER_MICRO_OHMS
             * C
             * FULL_SCALE_KELVIN
             * FULL_SCALE_KELVIN

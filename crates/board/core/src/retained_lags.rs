@@ -99,7 +99,7 @@ impl Default for RetainedLags {
 impl RetainedLags {
     /// Takes in one more; the same one again is no more.
     #[inline(never)]
-    pub fn store(&mut self, retained: RetainedLag) {
+    pub fn insert(&mut self, retained: RetainedLag) {
         let is_its =
             |place: &&mut Option<RetainedLag>| place.is_none_or(|there| there.key == retained.key);
         if let Some(place) = self.lags.iter_mut().find(is_its) {
@@ -169,7 +169,7 @@ mod tests {
         let mut memory = RetainedLags::default();
         let later = |input| RetainedLag { running_ms: 5, ..retained_lag(input) };
         for one in [retained_lag(1), retained_lag(2), retained_lag(3), later(2), later(3)] {
-            memory.store(one);
+            memory.insert(one);
         }
         assert_eq!(memory.lags.iter().flatten().count(), 3);
         assert_eq!(

@@ -9,10 +9,10 @@
 use crate::{fixed_point::rounding_shift_right_unsigned, units::Rpm};
 
 /// Samples a second of the stream that is averaged.
-pub const AVERAGED_SAMPLE_RATE_HZ: u32 = 5_000;
+pub const RUN_OUT_SAMPLE_RATE_HZ: u32 = 5_000;
 
 /// The slowest speed at which a revolution is averaged; below it the window is 200 ms.
-pub const MIN_AVERAGED_SPEED: Rpm = Rpm(300);
+pub const MIN_SPEED_FOR_REVOLUTION_MEAN: Rpm = Rpm(300);
 
 /// One revolution in samples, and its reciprocal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +25,7 @@ pub struct RevolutionWindow {
 
 impl RevolutionWindow {
     /// The fixed window of 200 ms, for a standing spindle or an unknown speed.
-    pub const STANDSTILL: Self = Self::from_speed(MIN_AVERAGED_SPEED);
+    pub const STANDSTILL: Self = Self::from_speed(MIN_SPEED_FOR_REVOLUTION_MEAN);
 
     /// Returns one revolution at this speed; 200 ms where the speed is unknown or below 300 r/min.
     ///
@@ -38,7 +38,7 @@ impl RevolutionWindow {
     #[must_use]
     pub const fn for_speed(speed: Option<Rpm>) -> Self {
         match speed {
-            Some(speed) if speed.0 > MIN_AVERAGED_SPEED.0 => Self::from_speed(speed),
+            Some(speed) if speed.0 > MIN_SPEED_FOR_REVOLUTION_MEAN.0 => Self::from_speed(speed),
             _ => Self::STANDSTILL,
         }
     }
@@ -46,7 +46,7 @@ impl RevolutionWindow {
     /// Divided by words, six or more places at a time, for which the processor has an instruction:
     /// a speed that changes costs 49 (`cargo measure`). It has none for a division of 64 bits.
     const fn from_speed(speed: Rpm) -> Self {
-        const SAMPLES_PER_MINUTE: u32 = 60 * AVERAGED_SAMPLE_RATE_HZ;
+        const SAMPLES_PER_MINUTE: u32 = 60 * RUN_OUT_SAMPLE_RATE_HZ;
         /// Any width is shorter than a word by this many places.
         const SPARE_BITS: u32 = 6;
         // Widening; `From` is not const.

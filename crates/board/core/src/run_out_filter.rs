@@ -68,7 +68,7 @@ impl RunOutFilter {
             self.speed = speed;
             self.window = RevolutionWindow::for_speed(speed);
         }
-        let samples = sum_samples(codes);
+        let samples = sum_codes_to_samples(codes);
         if self.first.has_full_revolution(self.window) {
             self.second.push_all(self.first.push_and_average(samples, self.window));
         } else {
@@ -93,7 +93,7 @@ impl RunOutFilter {
 
 /// Four codes each, added up: a sum is Q2, and 256 makes it Q10.
 #[inline]
-fn sum_samples(codes: &[AdcCode; CODES_PER_TICK]) -> [u32; SAMPLES_PER_TICK] {
+fn sum_codes_to_samples(codes: &[AdcCode; CODES_PER_TICK]) -> [u32; SAMPLES_PER_TICK] {
     let mut samples = [0; SAMPLES_PER_TICK];
     for (sample, four) in samples.iter_mut().zip(codes.as_chunks::<CODES_PER_SAMPLE>().0) {
         let sum = four.iter().fold(0_u32, |sum, code| sum.wrapping_add(code.0.into()));

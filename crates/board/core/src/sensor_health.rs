@@ -14,7 +14,7 @@
 //!   codes² a block, noise of half a code has 40.
 //! - **Wild**: a code farther from the last good one than anything on a machine moves in 50 µs ([`MAX_CODE_STEP`]). Up to three are a
 //!   spike, and the last good code stands in for them. Four that follow from each other are another level: that is
-//!   believed, because it may be true, and reported for 100 ms ([`SensorHealth::has_jumped`]). Codes that follow from nothing
+//!   believed, because it may be true, and reported for 100 ms ([`SensorHealthMonitor::has_jumped`]). Codes that follow from nothing
 //!   are no sensor's: twenty of them, and more than a fifth of all, are a fault until 10 ms are good.
 //!   It is looked for only in a block whose second differences stand out of those before; a step before the analogue
 //!   low-pass of 2 kHz does from some 30 µm on, and one below is as smooth as a machine that shakes.
@@ -36,8 +36,8 @@ pub const HIGH_RAIL: AdcCode = AdcCode(4087);
 pub const RAIL_FAULT_CODES: u16 = 4;
 /// A code at a rail outweighs this many good ones: a sensor that lies at a rail in more than a fifth of
 /// its codes is there, and noise takes it off at times.
-const RAIL_CODE_WEIGHT: u16 = 4;
-const RAIL_FAULT_LEVEL: u16 = RAIL_FAULT_CODES * RAIL_CODE_WEIGHT;
+const BAD_CODE_WEIGHT: u16 = 4;
+const RAIL_FAULT_LEVEL: u16 = RAIL_FAULT_CODES * BAD_CODE_WEIGHT;
 /// This many good codes in a row end a fault: 10 ms.
 pub const RECOVERY_CODES: u16 = 200;
 /// Within it a code follows from the one before, 50 µs ago: 32 codes are 3.9 µm, or 78 mm/s. Run-out of 5 µm at 24,000
@@ -48,7 +48,7 @@ const MIN_CODES_AT_NEW_LEVEL: u8 = 3;
 /// This many wild codes, less a fourth of the good ones, are a fault: a step of the whole range has ten, in which the
 /// analogue low-pass takes it there.
 const OUTLIER_FAULT_CODES: u16 = 20;
-const OUTLIER_FAULT_LEVEL: u16 = OUTLIER_FAULT_CODES * RAIL_CODE_WEIGHT;
+const OUTLIER_FAULT_LEVEL: u16 = OUTLIER_FAULT_CODES * BAD_CODE_WEIGHT;
 /// A jump is reported until this many codes have been good: 100 ms, many turns of what looks for it.
 const JUMP_REPORT_CODES: u16 = 2_000;
 
@@ -59,7 +59,7 @@ const OUTLIER_FACTOR: u32 = 12;
 const VIBRATION_ALLOWANCE_SQUARES: u32 = 1_280;
 /// More than this counts as this in the mean: twice what noise of three codes RMS has, so that a wild sensor does not
 /// become the measure of itself.
-const MAX_MEAN_SQUARES: u32 = 2_400;
+const MAX_SQUARES_IN_MEAN: u32 = 2_400;
 
 /// This many equal codes in a row are a frozen converter: 200 ms.
 pub const FROZEN_AFTER_CODES: u16 = 4_000;
@@ -72,14 +72,14 @@ const MAX_LIVELY_STILL_BLOCKS: u16 = FROZEN_AFTER_CODES / CODES_PER_BLOCK + 40;
 
 /// Blocks over which the squared second differences are averaged, as a power of two.
 const MEAN_BLOCKS_LOG2: u32 = 6;
-/// Twice what any run-out without noise leaves, as [`SensorHealth::liveliness`] has it.
+/// Twice what any run-out without noise leaves, as [`SensorHealthMonitor::liveliness`] has it.
 const MIN_LIVELY_SQUARES: u32 = 40 << MEAN_BLOCKS_LOG2;
 
 /// The state of the check from block to block.
 #[derive(Clone, Debug)]
-pub struct SensorHealth {
+pub struct SensorHealthMonitor {
     good: AdcCode,
-    /// Codes at a rail, [`RAIL_CODE_WEIGHT`] each, less the good ones.
+    /// Codes at a rail, [`BAD_CODE_WEIGHT`] each, less the good ones.
     at_rail: u16,
     /// Wild codes, the same way.
     wild: u16,
@@ -119,7 +119,7 @@ pub struct NoiseStatistics {
     pub count: u32,
 }
 
-impl Default for SensorHealth {
+impl Default for SensorHealthMonitor {
     fn default() -> Self {
         Self {
             good: AdcCode::default(),
@@ -134,7 +134,7 @@ impl Default for SensorHealth {
             frozen: false,
             turned: false,
             // Nothing stands out before the mean is known.
-            liveliness: MAX_MEAN_SQUARES << MEAN_BLOCKS_LOG2,
+            liveliness: MAX_SQUARES_IN_MEAN << MEAN_BLOCKS_LOG2,
             before: [AdcCode::default(); 2],
             begun: false,
             continues: false,
@@ -144,11 +144,11 @@ impl Default for SensorHealth {
     }
 }
 
-impl SensorHealth {
+impl SensorHealthMonitor {
     /// Looks at one tick of codes; `turns`: the spindle does, so that run-out must show. Gives the codes for the filter, spikes replaced, or `None`
     /// while the sensor cannot be believed.
     #[inline(never)]
-    pub fn check_codes<'c>(
+    pub fn check_and_clean_codes<'c>(
         &'c mut self,
         codes: &'c [AdcCode; CODES_PER_TICK],
         turns: bool,
@@ -246,7 +246,7 @@ impl SensorHealth {
                 } else {
                     (&mut self.wild, OUTLIER_FAULT_LEVEL)
                 };
-                *count = count.saturating_add(RAIL_CODE_WEIGHT).min(most);
+                *count = count.saturating_add(BAD_CODE_WEIGHT).min(most);
                 self.good_since = 0;
                 mended = self.good;
             }
@@ -309,7 +309,7 @@ impl SensorHealth {
     fn accumulate_noise(&mut self, codes: &[AdcCode; CODES_PER_TICK], squares: Option<u32>) {
         let [.., last_but_one, last] = codes;
         if let Some(squares) = squares.filter(|_| self.continues) {
-            let newest = squares.min(MAX_MEAN_SQUARES);
+            let newest = squares.min(MAX_SQUARES_IN_MEAN);
             self.liveliness = self
                 .liveliness
                 .wrapping_sub(self.liveliness >> MEAN_BLOCKS_LOG2)

@@ -33,9 +33,9 @@ pub struct TemperatureChannel {
 }
 
 impl TemperatureChannel {
-    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited_reading`].
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_reading_with_limit`].
     pub fn receive(&mut self, reading: Option<Temperature>) {
-        self.receive_rate_limited_reading(
+        self.receive_reading_with_limit(
             reading.ok_or(ThermometerFault::Missing),
             &TemperatureRateLimit::default(),
             false,
@@ -48,7 +48,7 @@ impl TemperatureChannel {
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
     /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
     /// any is taken until this many have agreed: a converter's first results are none, or not yet settled.
-    pub fn receive_rate_limited_reading(
+    pub fn receive_reading_with_limit(
         &mut self,
         reading: Result<Temperature, ThermometerFault>,
         limit: &TemperatureRateLimit,
@@ -137,18 +137,18 @@ pub struct TemperatureChannels {
 }
 
 impl TemperatureChannels {
-    /// Takes a reading of a channel that no law uses, as [`Self::receive_rate_limited_reading`].
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_reading_with_limit`].
     pub fn receive(&mut self, number: usize, reading: Option<Temperature>) {
-        self.receive_rate_limited_reading(
+        self.receive_reading_with_limit(
             number,
             reading.ok_or(ThermometerFault::Missing),
             &TemperatureRateLimit::default(),
         );
     }
 
-    /// Takes what the thermometer of a channel reads, as [`TemperatureChannel::receive_rate_limited_reading`]. One that has stopped while another has not
+    /// Takes what the thermometer of a channel reads, as [`TemperatureChannel::receive_reading_with_limit`]. One that has stopped while another has not
     /// reads nothing that could be believed ([`FreezeDetector`]). Returns the temperature that is believed now.
-    pub fn receive_rate_limited_reading(
+    pub fn receive_reading_with_limit(
         &mut self,
         number: usize,
         reading: Result<Temperature, ThermometerFault>,
@@ -161,7 +161,7 @@ impl TemperatureChannels {
         let agrees = reading.is_ok_and(|now| self.has_agreeing_partner(limit.partners, now));
         let reading = if is_stuck { Err(ThermometerFault::Missing) } else { reading };
         let channel = self.channels.get_mut(number)?;
-        channel.receive_rate_limited_reading(reading, limit, agrees);
+        channel.receive_reading_with_limit(reading, limit, agrees);
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),

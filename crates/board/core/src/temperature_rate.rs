@@ -115,12 +115,12 @@ impl TemperatureRateMonitor {
         };
         if off(self.tracked) <= reach {
             self.tracked =
-                step_toward(self.tracked, now, limit.per_reading.saturating_mul(self.age.into()));
+                step_towards(self.tracked, now, limit.per_reading.saturating_mul(self.age.into()));
             *self = Self { tracked: self.tracked, ..Self::default() };
             return true;
         }
         if is_steady {
-            self.candidate = step_toward(self.candidate, now, limit.per_reading);
+            self.candidate = step_towards(self.candidate, now, limit.per_reading);
             self.steady = self.steady.saturating_add(1);
         } else {
             (self.candidate, self.steady) = (now.0, 1);
@@ -147,7 +147,7 @@ impl TemperatureRateMonitor {
 }
 
 /// Returns `from`, moved by at most `most` toward a temperature.
-fn step_toward(from: i32, to: Temperature, most: i32) -> i32 {
+fn step_towards(from: i32, to: Temperature, most: i32) -> i32 {
     let most = most.max(0);
     // `clamp` would check the order of its bounds, with a panic.
     to.0.max(from.saturating_sub(most)).min(from.saturating_add(most))

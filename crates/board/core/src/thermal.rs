@@ -74,8 +74,8 @@ impl ThermalLawSegment {
 
     fn evaluate(&self, t: Temperature) -> (FineNanometres, Gradient) {
         let warmer = i64::from(t.0).wrapping_sub(i64::from(self.start.0));
-        let constant = extrapolate(self.constant.0, self.constant_slope, warmer);
-        let gradient = extrapolate(self.gradient.0, self.gradient_slope, warmer);
+        let constant = evaluate_line(self.constant.0, self.constant_slope, warmer);
+        let gradient = evaluate_line(self.gradient.0, self.gradient_slope, warmer);
         (FineNanometres(constant), Gradient(gradient))
     }
 }
@@ -86,7 +86,7 @@ fn read_word(bytes: &[u8; THERMAL_LAW_SEGMENT_SIZE], index: usize) -> i32 {
 }
 
 /// value + slope·warmer, saturating.
-fn extrapolate(value: i32, slope: i32, warmer: i64) -> i32 {
+fn evaluate_line(value: i32, slope: i32, warmer: i64) -> i32 {
     const SLOPE_SHIFT: u32 = SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS;
     // 33 bits by 32 and a half: below 2⁶³, so neither step can wrap.
     let growth = rounding_shift_right(warmer.wrapping_mul(i64::from(slope)), SLOPE_SHIFT);

@@ -14,7 +14,7 @@ use crate::{
     gradient::Gradient,
     index_set::IndexSet,
     lag::{Lag, SmoothingFactor},
-    learned::LearnedChanges,
+    learned_changes::LearnedChanges,
     retained_lags::{RetainedLag, RetainedLagKey, RetainedLags},
     term::{Target, TermStates},
     units::{FineNanometres, Nanometres, Rpm, Temperature},
@@ -172,12 +172,12 @@ impl MachineThermalState {
         let with_lags = self.axes.iter().map(|axis| axis.lag).zip(axis_lag_keys(calibration));
         for (lag, key) in with_lags.chain([(self.spindle, spindle_lag_key(calibration))]) {
             if let (Some(lag), Some(key)) = (lag, key) {
-                memory.store(RetainedLag { key, lag, running_ms: 0 });
+                memory.insert(RetainedLag { key, lag, running_ms: 0 });
             }
         }
         if let Some(key) = warmup_lag_key(calibration) {
             let warmup::WarmupModelState { running_ms, heat } = self.running;
-            memory.store(RetainedLag { key, lag: heat, running_ms });
+            memory.insert(RetainedLag { key, lag: heat, running_ms });
         }
         self.terms.store_lags(&calibration.terms, &mut memory);
         memory

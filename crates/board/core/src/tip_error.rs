@@ -57,15 +57,15 @@ pub fn compute_tip_error(
     let ([along_x, along_y, along_z], [x, y, z]) =
         (direction.project_elongation_fine(elongation), axes);
     let [largest_x, largest_y, largest_z] = largest;
-    let x = axis_tip_error(along_x, x, largest_x);
-    let y = axis_tip_error(along_y, y, largest_y);
-    let z = axis_tip_error(along_z, z, largest_z);
+    let x = compute_axis_tip_error(along_x, x, largest_x);
+    let y = compute_axis_tip_error(along_y, y, largest_y);
+    let z = compute_axis_tip_error(along_z, z, largest_z);
     ([x.0, y.0, z.0], x.1 | y.1 | z.1)
 }
 
 /// Returns the elongation along an axis, clamped, and the error of the axis itself.
 #[inline]
-fn axis_tip_error(
+fn compute_axis_tip_error(
     along: FineNanometres,
     own: FineNanometres,
     largest: FineNanometres,

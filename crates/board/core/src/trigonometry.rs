@@ -38,11 +38,11 @@ use crate::{
 /// A quarter of a turn in micro-degrees.
 const QUARTER_TURN_MICRODEGREES: i32 = 90 * MicroDegrees::PER_DEGREE;
 /// Quarter turns in a micro-degree, 1/90 000 000, Q56.
-const QUARTERS_PER_MICRODEGREE: i32 = 800_639_934;
+const QUARTERS_PER_MICRODEGREE_Q56: i32 = 800_639_934;
 /// Binary places of a number of quarters after the upper word of the product is taken.
 const QUARTERS_FRACTION_BITS: u32 = 56 - 32;
 /// t of a micro-degree, Q31: 47 is the largest whole number with which 45° stay below 1.
-const T_PER_MICRODEGREE: i32 = -47;
+const T_PER_MICRODEGREE_Q31: i32 = -47;
 /// s₀…s₄, all negative, in Q31, Q33, Q35, Q37, Q39.
 const SINE_COEFFICIENTS: [i32; 5] =
     [-1_712_534_151, -726_050_335, -92_345_367, -5_592_269, -194_576];
@@ -64,12 +64,12 @@ const COSINE_COEFFICIENTS: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537
 /// ```
 #[must_use]
 pub fn sin_cos(angle: MicroDegrees) -> (i32, i32) {
-    let quarters = mul_high_rounded(angle.0, QUARTERS_PER_MICRODEGREE);
+    let quarters = mul_high_rounded(angle.0, QUARTERS_PER_MICRODEGREE_Q56);
     let quarters = rounding_shift_right_i32(quarters, QUARTERS_FRACTION_BITS);
     // At the ends of i32 the product alone wraps, the difference is right.
     let remainder = angle.0.wrapping_sub(quarters.wrapping_mul(QUARTER_TURN_MICRODEGREES));
     // |remainder| ≤ 45.000 006°, so that t and all below stays within 32 bits.
-    let t = remainder.wrapping_mul(T_PER_MICRODEGREE);
+    let t = remainder.wrapping_mul(T_PER_MICRODEGREE_Q31);
     // −t² rather than t²: for the signs see above.
     let w = mul_high_rounded(t, t.wrapping_neg());
 

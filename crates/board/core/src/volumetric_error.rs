@@ -166,7 +166,7 @@ pub struct AngularErrors<'a> {
 
 /// A rotary axis, with the errors of where its line is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RotaryLocation {
+pub struct RotaryAxisLocation {
     /// The axis that it turns about: A, B or C.
     pub axis: RotaryAxis,
     /// Whether it turns the workpiece.
@@ -180,7 +180,7 @@ pub struct RotaryLocation {
     pub tilt: [FineNanometres; 3],
 }
 
-impl RotaryLocation {
+impl RotaryAxisLocation {
     /// Returns whether its line is where it should be.
     #[must_use]
     pub fn is_nominal(&self) -> bool {
@@ -203,7 +203,7 @@ pub struct VolumetricErrorModel<'a> {
     pub tool: [Position; 3],
     /// The rotary axes in the order of the CNC's angles: those of the tool from the frame to the tool, then
     /// those of the workpiece from the bed to the workpiece.
-    pub rotary: [Option<RotaryLocation>; 2],
+    pub rotary: [Option<RotaryAxisLocation>; 2],
 }
 
 impl VolumetricErrorModel<'_> {
@@ -222,7 +222,7 @@ impl VolumetricErrorModel<'_> {
 
     /// Returns whether the position of `axis` changes anything.
     #[must_use]
-    pub fn needs_position(&self, axis: LinearAxis) -> bool {
+    pub fn depends_on_position(&self, axis: LinearAxis) -> bool {
         let of_guide = |guide: LinearAxis| {
             let Some(errors) = self.guides.get(guide as usize) else { return false };
             let is_lever = self.chain.is_in_lever(guide, axis);
@@ -230,7 +230,7 @@ impl VolumetricErrorModel<'_> {
                 !angle.is_zero() && (guide == axis || is_lever && about != axis as usize)
             })
         };
-        let of_table = |location: &RotaryLocation| {
+        let of_table = |location: &RotaryAxisLocation| {
             let tilted = location.tilt.iter().filter(|tilt| **tilt != FineNanometres::ZERO).count();
             location.moves_workpiece && tilted > 0
         };
@@ -285,7 +285,7 @@ impl VolumetricErrorModel<'_> {
 /// when they are requested, however many axes have moved since.
 #[derive(Clone, Debug, Default)]
 pub struct CachedVolumetricErrors {
-    guides: [CachedGuide; 3],
+    guides: [CachedAngularErrors; 3],
     tip: Vector,
     of_tool: Vector,
     /// Shift at machine zero, and tilt.
@@ -293,7 +293,7 @@ pub struct CachedVolumetricErrors {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct CachedGuide {
+struct CachedAngularErrors {
     /// About X, Y and Z.
     angles: [FineNanometres; 3],
     /// From its point to the tip, with all positions at 0.
@@ -345,7 +345,7 @@ impl CachedVolumetricErrors {
         let mut errors = self.of_tool;
         let [at_x, at_y, at_z] = place.position;
         for (guide, levers) in self.guides.iter().zip(&volume.chain.levers) {
-            let CachedGuide { angles, arm: [x, y, z] } = *guide;
+            let CachedAngularErrors { angles, arm: [x, y, z] } = *guide;
             if angles == [FineNanometres::ZERO; 3] {
                 continue;
             }

@@ -250,13 +250,13 @@ proptest! {
             let config = calibration.axes[axis as usize].travel;
             place.travel[axis as usize].update(&config, position, direction);
             cached.update_axis_position(&calibration, &heat, &place, axis);
-            cached.sum_parts(&calibration, &place);
-            assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
+            cached.sum_guideway_errors(&calibration, &place);
+            assert_eq!(*cached.errors(), calibration.compute_axis_errors(&heat, &place));
             let item = number % 3;
             heat.step_item(&calibration, item, &[Some(Temperature(position.0)); TEMPERATURE_CHANNEL_COUNT], None);
             cached.update_axis_thermal_error(&calibration, &heat, &place, LinearAxis::ALL[item]);
-            cached.sum_parts(&calibration, &place);
-            assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
+            cached.sum_guideway_errors(&calibration, &place);
+            assert_eq!(*cached.errors(), calibration.compute_axis_errors(&heat, &place));
         }
     }
 }

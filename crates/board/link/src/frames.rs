@@ -9,7 +9,7 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, MachineConditions, OffsetFlags, OffsetQuality, Output,
         RotaryAxisAngles, SpindleState, TravelDirection,
     },
-    learned::LearnedChangeRequest,
+    learned_changes::LearnedChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 

@@ -17,24 +17,24 @@ use trueup_link::e2e::compute_crc;
 /// // Over the bytes 31 32 33 34 35 36 37 38, then 00 and 39: not the check value of
 /// // "123456789" (0x29B1), because a data ID has two bytes.
 /// let words = [0x3132, 0x3334, 0x3536, 0x3738];
-/// assert_eq!(trueup_modbus::e2e::block_crc(&words, 0x3900), 0x1C3C);
+/// assert_eq!(trueup_modbus::e2e::compute_block_crc(&words, 0x3900), 0x1C3C);
 /// ```
 #[must_use]
-pub fn block_crc(registers: &[u16], data_id: u16) -> u16 {
+pub fn compute_block_crc(registers: &[u16], data_id: u16) -> u16 {
     compute_crc(data_id, registers.iter().map(|register| register.to_be_bytes()))
 }
 
 /// Puts the CRC into the last register of a block.
 pub(crate) fn write_crc(block: &mut [u16], data_id: u16) {
     if let [covered @ .., place] = block {
-        *place = block_crc(covered, data_id);
+        *place = compute_block_crc(covered, data_id);
     }
 }
 
 /// Returns whether the last register of a block is its CRC.
 #[must_use]
 pub fn has_valid_crc(block: &[u16], data_id: u16) -> bool {
-    matches!(block, [covered @ .., last] if block_crc(covered, data_id) == *last)
+    matches!(block, [covered @ .., last] if compute_block_crc(covered, data_id) == *last)
 }
 
 /// Puts a number of two registers into a block, the high one first.

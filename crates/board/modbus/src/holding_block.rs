@@ -194,7 +194,7 @@ pub enum BlockRejectReason {
 #[derive(Clone, Copy, Debug)]
 pub struct HoldingBlock {
     registers: HoldingRegisters,
-    /// [`Refused::Damaged`] or [`Refused::Malformed`] where it says nothing.
+    /// [`BlockRejectReason::Damaged`] or [`BlockRejectReason::Malformed`] where it says nothing.
     decoded: Result<CncData, BlockRejectReason>,
 }
 
@@ -304,7 +304,7 @@ mod tests {
         let block = with_tool(17, 0x8002).encode(7);
         assert_eq!((block[2], block[17], block[18]), (0b11_1101, 17, 0x8002));
         assert_eq!(block[3..16], decoded().encode(7)[3..16]);
-        let crc = |covered: &[u16], id| crate::e2e::block_crc(covered, id);
+        let crc = |covered: &[u16], id| crate::e2e::compute_block_crc(covered, id);
         assert_eq!([block[16], block[19]], [crc(&block[..16], 0x302), crc(&block[..19], 0x402)]);
         assert_eq!(HoldingBlockChecker::default().accept(&block), Ok(with_tool(17, 0x8002)));
         assert_eq!(

@@ -54,7 +54,7 @@ impl InputBlock {
             write_u32(
                 &mut block,
                 place,
-                offset.map_or(NOT_AVAILABLE, encode_offset).cast_unsigned(),
+                offset.map_or(NOT_AVAILABLE, offset_to_raw).cast_unsigned(),
             );
         }
         write_u16(&mut block, QUALITY, u16::from(self.output.quality as u8));
@@ -114,7 +114,7 @@ impl InputBlock {
 }
 
 /// 10 nm a bit, halves away from zero.
-fn encode_offset(offset: Nanometres) -> i32 {
+fn offset_to_raw(offset: Nanometres) -> i32 {
     let half = NANOMETRES_PER_BIT.wrapping_div(2).saturating_mul(offset.0.signum());
     offset.0.saturating_add(half).wrapping_div(NANOMETRES_PER_BIT)
 }

@@ -244,11 +244,11 @@ impl<'a> Node<'a> {
 
     /// Notes whether this is wrong with the board now: for what may go again.
     pub fn set_or_clear_fault(&mut self, is_there: bool, fault: Fault) {
-        self.board_faults = self.board_faults.without(fault).with_fault_if(is_there, fault);
+        self.board_faults = self.board_faults.without_fault(fault).with_fault_if(is_there, fault);
     }
 
     /// Notes how many bytes of the stack were never used.
-    pub fn set_free_stack(&mut self, bytes: u16) {
+    pub fn set_free_stack_bytes(&mut self, bytes: u16) {
         self.board.free_stack = bytes;
     }
 
@@ -281,7 +281,7 @@ impl<'a> Node<'a> {
         frame: &Frame,
     ) -> Result<Option<CncMessage>, ReceiveError> {
         if frame.id() == SDO_REQUEST_ID {
-            self.log.set_sender(line);
+            self.log.set_request_interface(line);
             // Taken out, because what it reads and writes is the rest of this node.
             let mut server = self.server;
             self.answer = server.receive(frame, self).or(self.answer);
@@ -385,8 +385,8 @@ impl<'a> Node<'a> {
         self.master.tick(elapsed_ms, link_timeout_ms);
         self.questions = self
             .questions
-            .without(Fault::HeatUnknown)
-            .with_fault_if(self.state.is_heat_unknown(), Fault::HeatUnknown);
+            .without_fault(Fault::HeatUnknown)
+            .with_fault_if(self.state.is_thermal_state_unknown(), Fault::HeatUnknown);
         let seen = self.faults(&Output { flags, ..output });
         self.zero_refused = false;
         let now = self.faults(&output);
@@ -439,7 +439,7 @@ impl<'a> Node<'a> {
 
     /// Blocks of samples taken so far; wraps.
     #[must_use]
-    pub fn block_count(&self) -> u32 {
+    pub fn sample_block_count(&self) -> u32 {
         self.blocks
     }
 

@@ -30,7 +30,7 @@ use trueup_link::{
 use crate::node::{Interface, Node, OffsetFrames};
 
 /// Where X, Y and Z go, from 0, in positions: a large gantry, and a little beyond its tables.
-const AXIS_RANGES: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
+const AXIS_TRAVELS: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
 /// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 codes: 4000 + 16·20 counts of
 /// 10 V/32768 behind a divider of 0.328.
 const READINGS_AT_20_C: [u32; 2] = [107_793_500, 137_403];
@@ -153,7 +153,7 @@ impl<'a> TestVectorRunner<'a> {
             random: XorShift32::new(seed),
             faults,
             number: 0,
-            position: AXIS_RANGES.map(|reach| reach >> 1),
+            position: AXIS_TRAVELS.map(|reach| reach >> 1),
             level: 700,
             codes: [AdcCode(0); CODES_PER_TICK],
             temperatures: [RawTemperatureReading::NONE; TEMPERATURE_CHANNEL_COUNT],
@@ -176,26 +176,26 @@ impl<'a> TestVectorRunner<'a> {
             InjectedFault::None
         };
         if self.is_due(POSITION_PERIOD_MS) && fault != InjectedFault::NoPositions {
-            (0..3).for_each(|number| self.send_position(number));
+            (0..3).for_each(|number| self.queue_position_frame(number));
         }
         if self.is_due(ROTARY_PERIOD_MS) && fault != InjectedFault::NoAngles {
             let angles =
                 [180_000_000, 110_000_000].map(|most| self.random.next_signed_within(most));
             let angles = angles.map(MicroDegrees);
-            self.send_frame(3, |counter| {
+            self.queue_frame(3, |counter| {
                 frames::encode_rotary(RotaryAxisAngles { angles }, counter)
             });
         }
         if self.is_due(CONTROL_PERIOD_MS) && fault != InjectedFault::SilentCnc {
             let speed = Rpm(18_000_u16.wrapping_add(self.level.to_le_bytes()[0].into()));
-            self.send_frame(4, |counter| {
+            self.queue_frame(4, |counter| {
                 frames::encode_spindle(SpindleState { speed, load_n: 0 }, counter)
             });
             let engage = fault != InjectedFault::Disengaged;
             // Now and then for some frames, so that it is believed.
             let zero = self.faults && self.number & 0x0FFF < 200;
             let control = Control { engage, zero, ..Control::REFERENCED };
-            self.send_frame(5, |counter| frames::encode_control(control, counter));
+            self.queue_frame(5, |counter| frames::encode_control(control, counter));
         }
         if self.has_conditions
             && self.is_due(CONDITIONS_PERIOD_MS)
@@ -203,7 +203,7 @@ impl<'a> TestVectorRunner<'a> {
         {
             let bytes = self.random.next_u32().to_le_bytes();
             let (tool, bits) = (u16::from(bytes[0] & 63), u16::from_le_bytes([bytes[2], bytes[3]]));
-            self.send_frame(6, |counter| {
+            self.queue_frame(6, |counter| {
                 frames::encode_conditions(MachineConditions { tool, bits }, counter)
             });
         }
@@ -223,23 +223,23 @@ impl<'a> TestVectorRunner<'a> {
         }
     }
 
-    fn send_position(&mut self, number: usize) {
-        let Some(&reach) = AXIS_RANGES.get(number) else { return };
+    fn queue_position_frame(&mut self, number: usize) {
+        let Some(&reach) = AXIS_TRAVELS.get(number) else { return };
         let random = &mut self.random;
         let jump = random.next_below(16) == 0;
         let (target, walk) = (random.next_below(reach), random.next_signed_within(50_000));
         let Some(position) = self.position.get_mut(number) else { return };
         let heading = if walk < 0 { TravelDirection::Negative } else { TravelDirection::Positive };
         *position =
-            if jump { target } else { position.wrapping_add_signed(walk).min(AXIS_RANGES[0]) };
+            if jump { target } else { position.wrapping_add_signed(walk).min(AXIS_TRAVELS[0]) };
         let axis = LinearAxis::ALL.get(number).copied().unwrap_or(LinearAxis::X);
         let position = Position(position.cast_signed());
         let sent = AxisPosition { axis, position, direction: heading };
-        self.send_frame(number, |counter| frames::encode_position(sent, counter));
+        self.queue_frame(number, |counter| frames::encode_position(sent, counter));
     }
 
     /// Counts, builds, and at times damages a frame.
-    fn send_frame(&mut self, number: usize, build: impl FnOnce(u8) -> Frame) {
+    fn queue_frame(&mut self, number: usize, build: impl FnOnce(u8) -> Frame) {
         let Some(counter) = self.counters.get_mut(number) else { return };
         let mut frame = build(*counter);
         *counter = counter.wrapping_add(1);

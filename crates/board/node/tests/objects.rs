@@ -99,10 +99,10 @@ fn the_names_of_the_machine_are_read_and_without_a_calibration_there_are_none() 
 #[test]
 fn blocks_are_counted_and_a_tick_without_one_is_not() {
     let mut node = node();
-    assert_eq!(node.block_count(), 0);
+    assert_eq!(node.sample_block_count(), 0);
     run(&mut node, 5);
     node.tick(1, TickInput::default());
-    assert_eq!(node.block_count(), 5);
+    assert_eq!(node.sample_block_count(), 5);
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn the_level_that_readings_count_from_is_the_stored_one_or_that_of_the_first_sec
     assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(0), "not known yet");
     (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
     assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(1_500 * 16));
-    node.set_supply_baseline(InternalReferenceLevel(24_321));
+    node.set_supply_baseline_level(InternalReferenceLevel(24_321));
     (0..200).for_each(|_| node.receive_supply_code(AdcCode(1_500)));
     assert_eq!(node.supply_baseline_level(), InternalReferenceLevel(24_321));
 }

@@ -75,6 +75,7 @@ use trueup_core::calibration::Calibration;
 
 use crate::crc;
 
+mod blob_codec;
 mod blob_fields;
 mod blob_format;
 mod error;
@@ -83,8 +84,8 @@ mod terms;
 #[cfg(test)]
 pub(crate) mod tests;
 mod volume;
-mod wire;
 
+use blob_codec::{Field as _, Reader, Writer};
 pub(crate) use blob_format::FIXED_PART_SIZE;
 use blob_format::{BLOB_MAGIC, CRC_SIZE, HEADER_SIZE, SCHEMA_VERSION};
 pub use blob_format::{
@@ -93,7 +94,6 @@ pub use blob_format::{
 };
 pub use error::{BlobError, CalibrationTooLarge};
 use records::FixedPart;
-use wire::{Field as _, Reader, Writer};
 
 /// Writes the blob of a calibration, also of one that [`decode`] would refuse; gives its bytes.
 ///

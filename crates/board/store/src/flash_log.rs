@@ -325,13 +325,13 @@ pub enum StoreError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::strict_flash::StrictFlash;
+    use crate::simulated_nor_flash::SimulatedNorFlash;
     use std::string::ToString;
 
     const SLOTS: u32 = 4;
     const SLOT_SIZE: u32 = 8;
     const HALF: usize = (SLOTS * SLOT_SIZE) as usize;
-    type Flash = StrictFlash<HALF>;
+    type Flash = SimulatedNorFlash<HALF>;
 
     /// Slots that hold something, but no record: this many in each half.
     fn of_junk(first: u32, second: u32) -> FlashLog<Flash> {

@@ -30,7 +30,7 @@ pub mod retained_state;
     clippy::cast_possible_truncation,
     reason = "it is for tests"
 )]
-pub mod strict_flash;
+pub mod simulated_nor_flash;
 pub mod write_log;
 
 pub use flash_log::StoreError;

@@ -2,12 +2,12 @@
 //! milliseconds. The bounds of time rest on this limit (`cargo xtask bounds`).
 
 /// Milliseconds between two records, at the least.
-pub const STORE_PERIOD_MS: u32 = 50;
+pub const MIN_STORE_INTERVAL_MS: u32 = 50;
 
 /// The time until the next record.
 ///
 /// ```
-/// use trueup_store::rate_limit::{RateLimiter, STORE_PERIOD_MS};
+/// use trueup_store::rate_limit::{RateLimiter, MIN_STORE_INTERVAL_MS};
 /// let mut pace = RateLimiter::default();
 /// let permit = pace.store_permit().expect("the first one at once");
 /// pace.record(permit);
@@ -53,7 +53,7 @@ impl RateLimiter {
 
     /// Notes that the record is stored.
     pub fn record(&mut self, StorePermit(()): StorePermit) {
-        self.until_ms = STORE_PERIOD_MS;
+        self.until_ms = MIN_STORE_INTERVAL_MS;
     }
 }
 

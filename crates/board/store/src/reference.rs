@@ -329,7 +329,7 @@ impl<F: NorFlash> ReferenceStore<F> {
     }
 
     /// Records from now on say that their references count from this level of the supply.
-    pub fn set_supply_baseline(&mut self, supply: InternalReferenceLevel) {
+    pub fn set_supply_baseline_level(&mut self, supply: InternalReferenceLevel) {
         self.supply = supply;
     }
 

@@ -46,7 +46,7 @@ pub struct RetainedState {
 /// Returns what the newer whole copy says; `None`: there is none, the power was gone.
 #[must_use]
 pub fn load(copies: &RetainedCopies) -> Option<RetainedState> {
-    newest_copy(copies).map(|(_, retained)| retained)
+    find_newest_copy(copies).map(|(_, retained)| retained)
 }
 
 /// Returns the seconds without power, by the clock that now says `now_s`. `None`: not known, because there is no whole
@@ -54,13 +54,13 @@ pub fn load(copies: &RetainedCopies) -> Option<RetainedState> {
 /// than `MAX_OFF_TIME_S`.
 #[must_use]
 pub fn off_time_s(copies: &RetainedCopies, now_s: Option<u32>) -> Option<u32> {
-    let (written_s, _) = newest_copy(copies)?;
+    let (written_s, _) = find_newest_copy(copies)?;
     let off_s = now_s?.checked_sub(written_s).filter(|_| written_s != 0)?;
     (off_s <= MAX_OFF_TIME_S).then_some(off_s)
 }
 
 /// When the newer whole copy was written, and what it says.
-fn newest_copy(copies: &RetainedCopies) -> Option<(u32, RetainedState)> {
+fn find_newest_copy(copies: &RetainedCopies) -> Option<(u32, RetainedState)> {
     let [first, second] = copies.each_ref().map(decode);
     let newest = match (first, second) {
         (Some(first), Some(second)) if is_newer(first.0, second.0) => first,
@@ -179,7 +179,7 @@ mod tests {
     fn retained_state(number: i32) -> RetainedState {
         let mut heat = RetainedLags::default();
         for input in [3, 7, RetainedLagKey::SPINDLE_RUNNING_INPUT] {
-            heat.store(RetainedLag {
+            heat.insert(RetainedLag {
                 key: RetainedLagKey {
                     input,
                     rising: SmoothingFactor(9),
@@ -223,7 +223,7 @@ mod tests {
             let mut torn = after;
             // What was not written yet is 0, as `save` leaves it, or as it was.
             torn[written][at..].fill(0);
-            let found = newest_copy(&torn).expect("one is whole");
+            let found = find_newest_copy(&torn).expect("one is whole");
             assert!(
                 found == (2, retained_state(2)) || found == (3, retained_state(3)),
                 "cut at {at}"

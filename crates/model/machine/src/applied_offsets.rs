@@ -50,7 +50,7 @@ const BRIDGE_STATE_COLUMNS: [&str; 2] = ["flags", "age_ms"];
 /// known to be followed (`docs/book/src/offsets.md`).
 const MIN_UNUSABLE_QUALITY: f64 = 4.0;
 /// The last quality that there is.
-const MAX_QUALITY: f64 = 6.0;
+const FAULT_QUALITY: f64 = 6.0;
 
 /// A CNC may be this much later than its limits say, in seconds: it learns of a fault, and starts.
 const MAX_CNC_DELAY_S: f64 = 1.0;
@@ -126,7 +126,7 @@ type OffsetsAndNotes = ([Vec<f64>; 3], Vec<String>);
 ///
 /// # Errors
 /// As [`UncompensatedRun::from_run`].
-pub fn applied_offsets_um(
+pub fn compute_applied_offsets_um(
     run: &RunFile,
     machine: Option<&Machine>,
 ) -> Result<Option<OffsetsAndNotes>, InputFileError> {
@@ -137,7 +137,7 @@ pub fn applied_offsets_um(
     let offsets = LinearAxis::ALL.map(|axis| {
         let quantity = Quantity::from_axis(axis);
         if record.offsets[axis.index()].is_none() {
-            let is_known = record.missing_column(quantity).is_none();
+            let is_known = record.find_missing_column(quantity).is_none();
             return vec![if is_known { 0.0 } else { f64::NAN }; run.row_count()];
         }
         let (left_um, of_axis) = record.subtract_offset(&nothing, quantity);
@@ -170,7 +170,7 @@ fn subtract_applied_offsets(
     for quantity in Quantity::ALL {
         let name = format!("measured_{}_um", quantity.name());
         let Some(measured) = run.column(&name) else { continue };
-        match record.missing_column(quantity) {
+        match record.find_missing_column(quantity) {
             Some(missing) => {
                 let rule = format!(
                     "column {missing} is missing: what the bridge applied cannot be taken out of {name}"
@@ -210,11 +210,11 @@ fn offset_column_name(axis: LinearAxis) -> String {
 }
 
 fn check_quality(run: &RunFile, quality: &[f64]) -> Result<(), InputFileError> {
-    let is_one = |value: f64| value.fract() == 0.0 && (0.0..=MAX_QUALITY).contains(&value);
+    let is_one = |value: f64| value.fract() == 0.0 && (0.0..=FAULT_QUALITY).contains(&value);
     match quality.iter().position(|&value| !value.is_nan() && !is_one(value)) {
         None => Ok(()),
         Some(row) => {
-            let rule = format!("must be 0 to {MAX_QUALITY}, not {}", quality[row]);
+            let rule = format!("must be 0 to {FAULT_QUALITY}, not {}", quality[row]);
             Err(run.value_error(row, QUALITY_COLUMN, rule))
         }
     }
@@ -273,11 +273,11 @@ fn offset_withdrawn_mask(run: &RunFile, machine: Option<&Machine>, quality: &[f6
     let Some(time_s) = run.column("time_s") else { return vec![false; quality.len()] };
     let (mut since, mut before) = (None, f64::NAN);
     let rows = quality.iter().zip(time_s).map(|(&quality, &now)| {
-        if quality != MAX_QUALITY || now.is_nan() || now < before {
+        if quality != FAULT_QUALITY || now.is_nan() || now < before {
             since = None;
         }
         before = now;
-        if quality != MAX_QUALITY || now.is_nan() {
+        if quality != FAULT_QUALITY || now.is_nan() {
             return false;
         }
         now - *since.get_or_insert(now) > lasts_s
@@ -336,7 +336,7 @@ impl BridgeRecord<'_> {
     }
 
     /// Returns the column without which nothing is known of `quantity` in any row in which the bridge was on.
-    fn missing_column(&self, quantity: Quantity) -> Option<String> {
+    fn find_missing_column(&self, quantity: Quantity) -> Option<String> {
         let is_without =
             |(&quality, offset_withdrawn): (&f64, &bool)| quality == 0.0 || *offset_withdrawn;
         if self.quality.iter().zip(&self.offset_withdrawn).all(is_without) {
@@ -353,7 +353,7 @@ impl BridgeRecord<'_> {
         {
             return Some(offset_column_name(axis));
         }
-        let angle = |axis: &&RotaryAxis| self.angle(**axis).is_none();
+        let angle = |axis: &&RotaryAxis| self.angles_deg(**axis).is_none();
         self.head_axes().iter().find(angle).map(|axis| format!("{}_deg", axis.name()))
     }
 
@@ -363,7 +363,7 @@ impl BridgeRecord<'_> {
 
     /// Returns the angles of a rotary axis that turns the tool. A record that was made without a machine file
     /// numbers them in the order of the head.
-    fn angle(&self, axis: RotaryAxis) -> Option<&[f64]> {
+    fn angles_deg(&self, axis: RotaryAxis) -> Option<&[f64]> {
         let number = self.head_axes().iter().position(|candidate| *candidate == axis)? + 1;
         let by_name = self.run.column(&format!("{}_deg", axis.name()));
         by_name.or_else(|| self.run.column(&format!("angle{number}_deg")))
@@ -375,7 +375,7 @@ impl BridgeRecord<'_> {
         measured: &[f64],
         quantity: Quantity,
     ) -> (Vec<f64>, ExcludedRowCounts) {
-        let angles = RotaryAxis::ALL.map(|axis| self.angle(axis));
+        let angles = RotaryAxis::ALL.map(|axis| self.angles_deg(axis));
         let mut account = ExcludedRowCounts::default();
         let values = (0..measured.len()).map(|row| {
             if measured[row].is_nan() {
@@ -389,7 +389,7 @@ impl BridgeRecord<'_> {
                 account.unusable += 1;
                 return f64::NAN;
             }
-            // A column that is not there is not needed: see `missing_column`.
+            // A column that is not there is not needed: see `find_missing_column`.
             let at = |column: Option<&[f64]>| column.map_or(0.0, |all| all[row]);
             let offset = self.offsets.map(at);
             let applied = match quantity.axis() {

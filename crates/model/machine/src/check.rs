@@ -6,16 +6,17 @@
 //! `docs/thresholds.md`. A rule that would fire on a right file is a fault: the shipped files and
 //! every measured set that the project knows are silent.
 //!
-//! | page | checks |
+//! | module | checks |
 //! |---|---|
 //! | `sensor` | can the sensor read that, and in these units |
-//! | `range` | can a machine have that value, and which slip makes it; the table of all ranges |
-//! | `heat` | is that a temperature in °C, and does a constant do anything |
+//! | `plausibility` | can a machine have that value, and which slip makes it; the table of all ranges |
+//! | `thermal` | is that a temperature in °C, and does a constant do anything |
 //! | `limits` | is the slew limit slow enough for the axes, does a limit leave room for what it limits |
-//! | `place` | do the tool, the tables and the curves lie where the machine is |
-//! | `rate` | can a thermometer change faster than the board believes |
-//! | `twice` | is one thing corrected by two entries |
-//! | `nothing` | does the file correct anything at all |
+//! | `geometry` | do the tool, the tables and the curves lie where the machine is |
+//! | `thermometer_rate` | can a thermometer change faster than the board believes |
+//! | `double_correction` | is one thing corrected by two entries |
+//! | `no_correction` | does the file correct anything at all |
+//! | `conditions` | columns of few values that a CNC could send to the board: what to declare so that it does |
 //! | `error_bounds` | how large each correction may become |
 //! | `run` | is what a run has what the machine file has: counts, travel, the size and the sign of an error |
 //! | `clock` | does the clock of a run step by an hour, was it set, or has it a pause |
@@ -48,8 +49,8 @@ pub use warning::Warning;
 
 /// Returns the values of the machine file that are outside the ranges of machines, in the order of its lines.
 #[must_use]
-pub fn range_findings(machine: &Machine) -> Vec<ImplausibleValue> {
-    let mut findings = plausibility::machine_findings(machine);
+pub fn list_implausible_values(machine: &Machine) -> Vec<ImplausibleValue> {
+    let mut findings = plausibility::find_implausible_values(machine);
     findings.sort_by_key(|finding| (finding.warning.place.line, finding.warning.place.column));
     findings
 }
@@ -69,7 +70,7 @@ pub fn machine_warnings(machine: &Machine) -> Vec<Warning> {
     let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
     // A rule knows more of its key than the table does.
     let of_table =
-        plausibility::machine_findings(machine).into_iter().map(|finding| finding.warning);
+        plausibility::find_implausible_values(machine).into_iter().map(|finding| finding.warning);
     let is_new = |warnings: &[Warning], warning: &Warning| {
         warnings.iter().all(|other| other.place != warning.place)
     };
@@ -97,8 +98,10 @@ pub fn value_warnings(
     machine: Option<&Machine>,
     others: &[RunFile],
 ) -> Vec<Warning> {
-    let mut warnings: Vec<Warning> =
-        column_findings(run, machine, others).into_iter().map(|finding| finding.warning).collect();
+    let mut warnings: Vec<Warning> = find_implausible_columns(run, machine, others)
+        .into_iter()
+        .map(|finding| finding.warning)
+        .collect();
     warnings.extend(run::warnings(run, machine));
     warnings.extend(clock::check_clock(run).warnings);
     warnings
@@ -108,14 +111,14 @@ pub fn value_warnings(
 /// machine file, and a clock that was set: a constant that is found from them is wrong. `others` are the runs that the same
 /// command reads; `run` may be among them.
 #[must_use]
-pub fn column_findings(
+pub fn find_implausible_columns(
     run: &RunFile,
     machine: Option<&Machine>,
     others: &[RunFile],
 ) -> Vec<ImplausibleValue> {
     let mut slips = units::findings(run, machine, others);
     // Where both know something, the machine file says in which unit it would be right.
-    for finding in run::column_findings(run, machine) {
+    for finding in run::find_implausible_columns(run, machine) {
         match slips.iter_mut().find(|slip| slip.key == finding.key) {
             Some(other) => other.warning = finding.warning,
             None => slips.push(finding),

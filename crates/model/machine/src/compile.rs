@@ -41,7 +41,7 @@ use crate::{
 use curve::{OwnedCurve, compile_curve};
 use inputs::compile_thermometers;
 use part_differences::PartDifferences;
-use spindle::SpindleTables;
+use spindle::OwnedSpindle;
 use squareness::{axis_pair_index, compile_squareness};
 use volume::OwnedVolume;
 
@@ -92,7 +92,7 @@ impl CompiledCalibration {
 /// # Errors
 /// Something that is in use is not described in `[inputs]`, a value does not fit the board's integer
 /// for it, a part would be further than `MAX_MODEL_DIFFERENCE_NM` from the model, a slope is beyond
-/// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::check_envelope`]), or all of it does not fit the board; with the key and, for a machine that
+/// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::reject_limit_violations`]), or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError> {
     let whole = machine;
@@ -102,7 +102,7 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError>
     check_slopes(machine)?;
     let mut account = PartDifferences { machine, parts: Vec::new() };
     let limits = limits::compile(machine)?;
-    let spindle = SpindleTables::compile(machine, falling.spindle_s, &mut account)?;
+    let spindle = OwnedSpindle::compile(machine, falling.spindle_s, &mut account)?;
     let mut axes = Vec::new();
     for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
         let falling_s = falling.axes_s[name.index()];
@@ -124,7 +124,7 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError>
     }
     let volume = volume::compile(machine, &mut account)?;
     let terms = term::compile_terms(machine, &mut account)?;
-    let [x, y, z] = [0, 1, 2].map(|number| axis::compile_axis(machine, number, &axes[number]));
+    let [x, y, z] = [0, 1, 2].map(|number| axis::build_axis_model(machine, number, &axes[number]));
     let calibration = Calibration {
         thermometers: compile_thermometers(machine)?,
         spindle: spindle.view(machine)?,
@@ -163,14 +163,14 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, InputFileError>
         }
     }
     // Last: other faults are reported first.
-    envelope::check_envelope(whole)?;
+    envelope::reject_limit_violations(whole)?;
     let parts = account.parts;
     let largest_difference_nm = parts.iter().fold(0.0, |worst: f64, (_, nm)| worst.max(*nm));
     Ok(CompiledCalibration { blob, parts, largest_difference_nm })
 }
 
 /// The name of a shown machine whose calibration has none.
-pub(crate) const DEFAULT_MACHINE_NAME: &str = "shown";
+pub(crate) const UNNAMED_MACHINE_NAME: &str = "shown";
 
 /// Returns a machine that compiles to `calibration`, or as nearly as the machine file can say it.
 ///
@@ -187,7 +187,7 @@ pub fn decompile(calibration: &Calibration<'_>) -> Machine {
     let curves = squareness::axis_pairs().into_iter().zip(&calibration.straightness);
     let curves = curves.filter(|(_, curve)| !curve.is_empty());
     let mut terms = term::decompile(calibration);
-    let tools = terms.last().and_then(term::category::tools_from_term);
+    let tools = terms.last().and_then(term::category::tool_growths_from_term);
     if tools.is_some() {
         terms.pop();
     }
@@ -195,7 +195,7 @@ pub fn decompile(calibration: &Calibration<'_>) -> Machine {
     let guards = &calibration.guards;
     Machine {
         name: machine_identity::decode_name(calibration.names.machine)
-            .unwrap_or_else(|| DEFAULT_MACHINE_NAME.into()),
+            .unwrap_or_else(|| UNNAMED_MACHINE_NAME.into()),
         serial: machine_identity::decode_name(calibration.names.serial),
         board: Some(calibration.names.board).filter(|board| *board != [0; 3]),
         kind,

@@ -14,7 +14,7 @@ use std::path::Path;
 use trueup_core::{calibration::Calibration, units::AdcCode};
 
 use crate::{
-    compile::{DEFAULT_MACHINE_NAME, NEAR_ZERO_SLOPE_UM_PER_COUNT, compile, decompile},
+    compile::{NEAR_ZERO_SLOPE_UM_PER_COUNT, UNNAMED_MACHINE_NAME, compile, decompile},
     inputs::ADC_REFERENCE_VOLTS,
     keys::section::NewSection,
     machine_file::{Machine, MachineFile, Term, writer::MachineFileEdit},
@@ -47,7 +47,7 @@ pub fn decompile_to_toml(calibration: &Calibration<'_>) -> DecompiledCalibration
     }
     .to_toml();
     let (verdict, largest_difference_nm) = match verify_round_trip(&toml, calibration) {
-        Ok(RoundTrip { is_same, from_calibration_nm, from_model_nm }) => {
+        Ok(RoundTripResult { is_same, from_calibration_nm, from_model_nm }) => {
             let nm = from_calibration_nm + from_model_nm;
             let back = if is_same {
                 "the same calibration".to_string()
@@ -70,7 +70,7 @@ pub fn decompile_to_toml(calibration: &Calibration<'_>) -> DecompiledCalibration
 fn add_comments(section: NewSection, machine: &Machine) -> NewSection {
     let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
     match section.name() {
-        "machine" if machine.name == DEFAULT_MACHINE_NAME => {
+        "machine" if machine.name == UNNAMED_MACHINE_NAME => {
             section.with_key_comment("name", "the calibration has none")
         }
         "inputs" if sensor.is_some() => section
@@ -91,7 +91,7 @@ fn add_comments(section: NewSection, machine: &Machine) -> NewSection {
 }
 
 /// The result of compiling a machine file that was shown.
-struct RoundTrip {
+struct RoundTripResult {
     /// It compiles to the calibration, bit for bit.
     is_same: bool,
     /// From the calibration to what the file compiles to.
@@ -101,18 +101,18 @@ struct RoundTrip {
 }
 
 /// Compiles `toml` and holds the result against `calibration`.
-fn verify_round_trip(toml: &str, calibration: &Calibration<'_>) -> Result<RoundTrip, String> {
+fn verify_round_trip(toml: &str, calibration: &Calibration<'_>) -> Result<RoundTripResult, String> {
     let compiled = MachineFile::parse(toml, Path::new("shown"))
         .and_then(|machine| compile(&machine))
         .map_err(|bad| bad.rule)?;
     let again = compiled.calibration();
     let from_model_nm = compiled.largest_difference_nm;
     if again == *calibration {
-        return Ok(RoundTrip { is_same: true, from_calibration_nm: 0.0, from_model_nm });
+        return Ok(RoundTripResult { is_same: true, from_calibration_nm: 0.0, from_model_nm });
     }
     let from_calibration_nm = calibration_difference_nm(calibration, &again)
         .ok_or("it holds values that no machine file is compiled to")?;
-    Ok(RoundTrip { is_same: false, from_calibration_nm, from_model_nm })
+    Ok(RoundTripResult { is_same: false, from_calibration_nm, from_model_nm })
 }
 
 #[cfg(test)]

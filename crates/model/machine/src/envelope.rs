@@ -9,13 +9,13 @@
 //! at each of these times: the axes at both ends, approached from both sides; the spindle at rest, and turning
 //! ```
 //!
-//! [`compile`](crate::compile()) refuses a machine whose terms leave what is possible there ([`check_envelope`]);
+//! [`compile`](crate::compile()) refuses a machine whose terms leave what is possible there ([`reject_limit_violations`]);
 //! `check` and `bridge load` call the same function, and a diagnosis calls it before it writes a term.
 
 use std::{borrow::Cow, collections::BTreeMap};
 
 use crate::{
-    effect::{BoardTerm, Effect, Input, SlowMode},
+    effect::{BoardTerm, Effect, LawInput, SlowMode},
     location::InputFileError,
     machine_file::Machine,
     model::{ReferenceModel, RowInputs, tool_growth_term},
@@ -178,7 +178,7 @@ fn category_values(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
     let mut values: Vec<(&str, f64)> = Vec::new();
     for term in &machine.terms {
         let column = match term.effect.required_inputs().first() {
-            Some(&(Input::Column(column) | Input::Lagged { column, .. })) => column,
+            Some(&(LawInput::Column(column) | LawInput::Lagged { column, .. })) => column,
             _ => continue,
         };
         let largest = term.effect.board_terms().first().and_then(BoardTerm::dominant_category);
@@ -321,7 +321,7 @@ impl MachineStates {
     }
 
     /// Returns the states in which all has settled.
-    fn settled_states(&self) -> Vec<usize> {
+    fn settled_state_indices(&self) -> Vec<usize> {
         (0..self.all.len()).filter(|&state| self.all[state].is_settled).collect()
     }
 }
@@ -343,7 +343,7 @@ pub struct CancellingTermPair {
 pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
     let of_machine = MachineStates::new(machine)?;
     let MachineStates { numbers, alone, .. } = &of_machine;
-    let settled = of_machine.settled_states();
+    let settled = of_machine.settled_state_indices();
     let last = *settled.last()?;
     let pairs = (0..alone.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
     let of_axes =
@@ -367,18 +367,18 @@ pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
 ///
 /// # Errors
 /// They do: with the term that does most, and what it does.
-pub fn check_envelope(machine: &Machine) -> Result<(), InputFileError> {
+pub fn reject_limit_violations(machine: &Machine) -> Result<(), InputFileError> {
     match find_limit_violation(machine) {
         None => Ok(()),
         Some(LimitViolation { term, rule, .. }) => {
             let bad = machine.places.key_error(&format!("term[{term}]"), rule);
-            Err(InputFileError { help: Some(CANCELLING_TERMS_HELP.into()), ..bad })
+            Err(InputFileError { help: Some(LIMIT_VIOLATION_HELP.into()), ..bad })
         }
     }
 }
 
 /// The remedy for terms that leave what is possible.
-const CANCELLING_TERMS_HELP: &str =
+const LIMIT_VIOLATION_HELP: &str =
     "take the terms out, or diagnose anew: a diagnosis writes none that leave what was measured";
 
 /// One axis, and the largest offset on it.
@@ -393,11 +393,11 @@ impl AxisLimitCheck<'_> {
         let MachineStates { all, plain, alone, numbers, .. } = self.of_machine;
         let quantity = 1 + self.axis.index();
         // What the laws do without the terms is no fault of these.
-        if self.first_state_beyond_limit(plain, quantity).is_some() {
+        if self.find_moment_beyond_limit(plain, quantity).is_some() {
             return None;
         }
         let beyond =
-            self.first_state_beyond_limit(all, quantity).map(|state| (state, "in every state"));
+            self.find_moment_beyond_limit(all, quantity).map(|state| (state, "in every state"));
         let settled_um = max_magnitude_um(all.iter().filter(|state| state.is_settled), quantity);
         let passing = || {
             let worst = all.iter().enumerate().max_by(|a, b| {
@@ -424,11 +424,11 @@ impl AxisLimitCheck<'_> {
             );
             return Some(LimitViolation { axis: self.axis, term: numbers[term], um, rule });
         }
-        self.find_cancelling_pair(quantity)
+        self.find_cancelling_violation(quantity)
     }
 
     /// Returns the first state of a moment in which every state is beyond the limit.
-    fn first_state_beyond_limit(
+    fn find_moment_beyond_limit(
         &self,
         states: &[PredictedState],
         quantity: usize,
@@ -442,9 +442,9 @@ impl AxisLimitCheck<'_> {
     }
 
     /// Returns two terms that are each beyond the limit in every settled state, and take each other back.
-    fn find_cancelling_pair(&self, quantity: usize) -> Option<LimitViolation> {
+    fn find_cancelling_violation(&self, quantity: usize) -> Option<LimitViolation> {
         let MachineStates { alone, numbers, .. } = self.of_machine;
-        let settled = self.of_machine.settled_states();
+        let settled = self.of_machine.settled_state_indices();
         let last = *settled.last()?;
         let most_um = self.limit_um.min(MAX_PLAUSIBLE_OFFSET_UM);
         let is_beyond = |term: &usize| {

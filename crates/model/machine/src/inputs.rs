@@ -59,17 +59,17 @@ pub struct TemperatureInput {
     /// The converter's number on the board, 0…[`MAX_TEMPERATURE_CHANNEL`]; no two temperatures share one.
     pub channel: u8,
     /// The meaning of its counts.
-    pub kind: TemperatureKind,
-    /// How fast it may change in K/min, within `RATE_LIMITS_C_PER_MIN`; `None`: the board's default where a law uses it.
+    pub kind: TemperatureInputKind,
+    /// How fast it may change in K/min, within `RATE_LIMIT_RANGE_C_PER_MIN`; `None`: the board's default where a law uses it.
     pub max_c_per_min: Option<f64>,
 }
 
 /// Lowest and highest limit that may be stated for a thermometer's rate of change, by what its mass can do, in K/min.
-pub(crate) const RATE_LIMITS_C_PER_MIN: [f64; 2] = [0.1, 600.0];
+pub(crate) const RATE_LIMIT_RANGE_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 
 /// The meaning of the counts of a temperature channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TemperatureKind {
+pub enum TemperatureInputKind {
     /// A PT100 by IEC 60751.
     Pt100,
     /// A line.

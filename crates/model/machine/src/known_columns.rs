@@ -128,7 +128,7 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
 ];
 
 /// Returns the known column of this name.
-pub(crate) fn known_column(name: &str) -> Option<&'static KnownColumn> {
+pub(crate) fn find_known_column(name: &str) -> Option<&'static KnownColumn> {
     let is_it = |known: &&KnownColumn| match known.name.split_once("<name>") {
         None => known.name == name,
         Some((before, after)) => name
@@ -148,5 +148,5 @@ pub(crate) fn known_column(name: &str) -> Option<&'static KnownColumn> {
 /// ```
 #[must_use]
 pub fn is_known_column(name: &str) -> bool {
-    known_column(name).is_some()
+    find_known_column(name).is_some()
 }

@@ -177,7 +177,7 @@ pub(crate) fn truncate_text(text: &str) -> String {
 }
 
 /// Returns the candidate that `wrong` was probably meant to be, as an end of a sentence, or nothing.
-pub(crate) fn did_you_mean<'a>(
+pub(crate) fn format_suggestion<'a>(
     wrong: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> String {
@@ -246,8 +246,8 @@ mod tests {
     #[test]
     fn a_suggestion_needs_a_likeness() {
         let known = ["zero_counts", "um_per_count", "k0_um"];
-        assert_eq!(did_you_mean("zero_count", known), "; did you mean zero_counts?");
-        assert_eq!(did_you_mean("um_per_counts", known), "; did you mean um_per_count?");
-        assert_eq!(did_you_mean("colour", known), "");
+        assert_eq!(format_suggestion("zero_count", known), "; did you mean zero_counts?");
+        assert_eq!(format_suggestion("um_per_counts", known), "; did you mean um_per_count?");
+        assert_eq!(format_suggestion("colour", known), "");
     }
 }

@@ -93,27 +93,32 @@ impl MachineFile {
         }
         let section = |name: &str| root.section(name).ok().flatten();
         let mut faults = ErrorCollector::default();
-        let identity = faults.collect(section("machine").map(|section| machine::read(&section)));
-        let inputs = faults.collect(section("inputs").map(|section| inputs::read(&section)));
+        let identity =
+            faults.ok_or_collect(section("machine").map(|section| machine::read(&section)));
+        let inputs = faults.ok_or_collect(section("inputs").map(|section| inputs::read(&section)));
         let connected = inputs.as_ref().and_then(|inputs| inputs.sensor);
-        let spindle =
-            faults.collect(section("spindle").map(|section| spindle::read(&section, connected)));
-        let axes = faults.collect(section("axis").map(|section| axis::read(&section)));
-        let curves = faults.collect(
+        let spindle = faults
+            .ok_or_collect(section("spindle").map(|section| spindle::read(&section, connected)));
+        let axes = faults.ok_or_collect(section("axis").map(|section| axis::read(&section)));
+        let curves = faults.ok_or_collect(
             section("straightness").map(|section| straightness::read_straightness(&section)),
         );
-        let angles = faults
-            .collect(section("squareness").map(|section| straightness::read_squareness(&section)));
-        let angular =
-            faults.collect(section("angular").map(|section| volume::read_angular_errors(&section)));
-        let rotary = faults
-            .collect(section("rotary").map(|section| volume::read_rotary_locations(&section)));
-        let tool = faults.collect(section("tool").map(|section| ToolGeometry::read(&section)));
-        let limits = faults.collect(section("limits").map(|section| Limits::read(&section)));
-        let thermal_state = faults
-            .collect(section("thermal_state").map(|section| ThermalStateSection::read(&section)));
+        let angles = faults.ok_or_collect(
+            section("squareness").map(|section| straightness::read_squareness(&section)),
+        );
+        let angular = faults
+            .ok_or_collect(section("angular").map(|section| volume::read_angular_errors(&section)));
+        let rotary = faults.ok_or_collect(
+            section("rotary").map(|section| volume::read_rotary_locations(&section)),
+        );
+        let tool =
+            faults.ok_or_collect(section("tool").map(|section| ToolGeometry::read(&section)));
+        let limits = faults.ok_or_collect(section("limits").map(|section| Limits::read(&section)));
+        let thermal_state = faults.ok_or_collect(
+            section("thermal_state").map(|section| ThermalStateSection::read(&section)),
+        );
         let instrument =
-            faults.collect(section("instrument").map(|section| Instrument::read(&section)));
+            faults.ok_or_collect(section("instrument").map(|section| Instrument::read(&section)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
         let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, InputFileError>>()?;
@@ -173,7 +178,7 @@ struct ErrorCollector(Vec<InputFileError>);
 
 impl ErrorCollector {
     /// Returns what was read of a section, if it is there and right.
-    fn collect<T>(&mut self, read: Option<Result<T, InputFileError>>) -> Option<T> {
+    fn ok_or_collect<T>(&mut self, read: Option<Result<T, InputFileError>>) -> Option<T> {
         read.transpose().unwrap_or_else(|error| {
             self.0.push(error);
             None

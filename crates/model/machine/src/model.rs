@@ -51,8 +51,10 @@ pub use squareness::squareness_error_um;
 pub use term::{
     FallingTimeConstants, apply_constant_terms, shift_series, shift_series_at_rows, time_shift_s,
 };
-pub use thermal::{thermal_coefficients, thermal_error_um};
-pub use thermometer_delay::{part_temperature, part_temperature_from_means, part_temperatures};
+pub use thermal::{thermal_constant_and_slope, thermal_error_um};
+pub use thermometer_delay::{
+    part_temperature_c, part_temperature_columns, part_temperature_from_means_c,
+};
 pub(crate) use tool_growth::tool_growth_term;
 pub use volume::volumetric_error_um;
 

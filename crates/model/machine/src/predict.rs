@@ -31,7 +31,8 @@ use crate::{
     location::{InputFileError, Location},
     machine_file::Machine,
     model::{
-        ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
+        ReferenceModel, RowInputs, part_temperature_columns, required_columns, shift_series,
+        time_shift_s,
     },
     run_file::RunFile,
     sections::ElongationSource,
@@ -57,7 +58,7 @@ pub(crate) const PREDICTION_COLUMNS: [&str; 8] = [
 
 /// One bit of an offset on the wire, in nm: what fixed-point arithmetic may add to the differences that
 /// [`compile`](crate::compile()) states, because it cannot be seen.
-pub(crate) const WIRE_RESOLUTION_NM: f64 = 10.0;
+pub(crate) const OFFSET_RESOLUTION_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,16 +77,16 @@ impl RowPrediction {
     /// without a bridge or a value.
     #[must_use]
     pub(crate) fn max_difference_nm(&self) -> Option<f64> {
-        self.max_difference_from_nm(self.model)
+        self.max_bridge_difference_nm(self.model)
     }
 
     /// Returns the same between the bridge and what it is to correct: what its arithmetic costs.
     #[must_use]
     pub fn arithmetic_error_nm(&self) -> Option<f64> {
-        self.max_difference_from_nm(self.compensated)
+        self.max_bridge_difference_nm(self.compensated)
     }
 
-    fn max_difference_from_nm(&self, model: ErrorValues) -> Option<f64> {
+    fn max_bridge_difference_nm(&self, model: ErrorValues) -> Option<f64> {
         let bridge = self.bridge?.to_array();
         let apart = model.to_array().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
         apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
@@ -118,7 +119,7 @@ pub struct PredictionSummary {
     pub largest_difference_nm: Option<f64>,
     /// The part of it that is the board's arithmetic, in nm; the rest is of terms that it does not run.
     pub largest_arithmetic_nm: Option<f64>,
-    /// Where the bridge is further from the model than [`RunPredictor::guaranteed_difference_nm`], the furthest: its row, from
+    /// Where the bridge is further from the model than [`RunPredictor::difference_bound_nm`], the furthest: its row, from
     /// 0, and the difference in nm.
     pub broken_promise: Option<(usize, f64)>,
 }
@@ -160,11 +161,11 @@ impl<'a> RunPredictor<'a> {
     }
 
     /// Returns the largest difference between bridge and model that `compile` promises, in nm: those of all parts of
-    /// the calibration together, and `WIRE_RESOLUTION_NM`. `None` without a bridge.
+    /// the calibration together, and `OFFSET_RESOLUTION_NM`. `None` without a bridge.
     #[must_use]
-    pub fn guaranteed_difference_nm(&self) -> Option<f64> {
+    pub fn difference_bound_nm(&self) -> Option<f64> {
         let bridge = self.bridge.as_ref().ok()?;
-        Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_RESOLUTION_NM)
+        Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + OFFSET_RESOLUTION_NM)
     }
 
     /// Returns what the model has and the board does not run: the terms that only explain, by their causes, and
@@ -180,7 +181,7 @@ impl<'a> RunPredictor<'a> {
     fn has_other_tool_lengths(&self) -> bool {
         let volume = &self.machine.volume;
         let is_other = |length_mm: &f64| *length_mm != volume.tool.length_mm;
-        volume.has_errors()
+        volume.has_geometric_errors()
             && self.columns.tool_length_mm.is_some_and(|lengths| lengths.iter().any(is_other))
     }
 
@@ -227,7 +228,7 @@ impl<'a> RunPredictor<'a> {
     #[must_use]
     pub fn model_values(&self) -> Box<dyn Iterator<Item = ErrorValues> + '_> {
         let mut reference = ReferenceModel::new(self.machine);
-        let parts = part_temperatures(self.machine, |name| self.run.column(name));
+        let parts = part_temperature_columns(self.machine, |name| self.run.column(name));
         let in_time = (0..self.run.row_count()).map(move |row| {
             let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures_in_row(row);
             temperatures.extend(parts.iter().map(|(name, part_c)| (name.as_str(), part_c[row])));
@@ -284,7 +285,7 @@ impl<'a> RunPredictor<'a> {
             out.write_all(b",")?;
         }
         writeln!(out, "{}", PREDICTION_COLUMNS.join(","))?;
-        let promised_nm = self.guaranteed_difference_nm().unwrap_or(0.0);
+        let promised_nm = self.difference_bound_nm().unwrap_or(0.0);
         let mut before = ErrorValues { elongation_um: f64::NAN, error_um: [f64::NAN; 3] };
         for (row, prediction) in self.predictions().enumerate() {
             for column in self.run.columns() {

@@ -22,10 +22,10 @@ use crate::{
 /// which the units of its values show.
 const MAX_FAULT_FRACTION: f64 = 0.5;
 /// A step over more than this many of the usual rows is a pause.
-const MIN_PAUSE_ROW_INTERVALS: f64 = 2.0;
+const MAX_ORDINARY_ROW_INTERVALS: f64 = 2.0;
 /// Positions fall as often as they rise if the rarer of the two is at least this share of the other: a
 /// sweep back may have fewer targets, or be cut off.
-const MIN_REVERSAL_RATIO: f64 = 0.5;
+const MIN_DIRECTION_RATIO: f64 = 0.5;
 /// Rows of a sweep, on average. Positions in no order turn in two of three rows, and say nothing of how they
 /// were approached.
 const MIN_MEAN_SWEEP_ROWS: f64 = 3.0;
@@ -105,7 +105,7 @@ fn classify_row_gaps(run: &RunFile) -> (Vec<bool>, Vec<bool>) {
     };
     let follows = |row: usize| {
         let is_pause =
-            usual_s.is_some_and(|usual_s| apart(row) > MIN_PAUSE_ROW_INTERVALS * usual_s);
+            usual_s.is_some_and(|usual_s| apart(row) > MAX_ORDINARY_ROW_INTERVALS * usual_s);
         !(apart(row) < 0.0 || is_new_run(row) || is_pause)
     };
     let rows = || 0..run.row_count();
@@ -139,7 +139,7 @@ pub fn with_approach_directions(
         let Some(sweeps) = BidirectionalSweeps::from_positions(values, run.column("run")) else {
             continue;
         };
-        let is_needed = machine.is_some_and(|machine| depends_on_approach(machine, axis));
+        let is_needed = machine.is_some_and(|machine| depends_on_approach_direction(machine, axis));
         let is_measured = run.column(&format!("measured_d{}_um", axis.name())).is_some();
         let is_derived = sweeps.mean_rows >= MIN_MEAN_SWEEP_ROWS && (is_needed || is_measured);
         if !is_derived && !is_needed {
@@ -166,7 +166,7 @@ pub fn with_approach_directions(
 }
 
 /// Returns whether anything that the machine file says of an axis depends on the direction of approach.
-fn depends_on_approach(machine: &Machine, axis: LinearAxis) -> bool {
+fn depends_on_approach_direction(machine: &Machine, axis: LinearAxis) -> bool {
     let model = &machine.axes[axis.index()];
     let by_table = model.pitch.iter().chain(model.dual.as_ref().map(|dual| &dual.pitch));
     model.backlash.is_some()
@@ -198,7 +198,7 @@ impl BidirectionalSweeps {
         let (rises, falls) = (count(1.0), count(-1.0));
         let (rarer, other) = (rises.min(falls), rises.max(falls));
         // The way back to the start of a run is no measurement.
-        if rarer < 2 || (rarer as f64) < MIN_REVERSAL_RATIO * other as f64 {
+        if rarer < 2 || (rarer as f64) < MIN_DIRECTION_RATIO * other as f64 {
             return None;
         }
         let moving: Vec<f64> = signs.iter().copied().filter(|sign| *sign != 0.0).collect();

@@ -33,7 +33,7 @@ use std::{
 
 use crate::{
     bounded_read,
-    location::{InputFileError, Location, did_you_mean},
+    location::{InputFileError, Location, format_suggestion},
 };
 use run_table::{ColumnTypo, RunFileSizeLimits, RunTable};
 
@@ -121,7 +121,7 @@ impl RunFile {
     /// Returns the instant from which `time_s` counts, in s from 1970, where the file has dates: it keeps the time between
     /// files. Dates without a time zone count as UTC.
     #[must_use]
-    pub fn epoch_s(&self) -> Option<f64> {
+    pub fn time_origin_unix_s(&self) -> Option<f64> {
         self.epoch_s
     }
 
@@ -155,7 +155,7 @@ impl RunFile {
             }
             let names = || self.columns.iter().map(|column| column.name.as_str());
             let there = names().collect::<Vec<_>>().join(", ");
-            let suggestion = did_you_mean(name, names());
+            let suggestion = format_suggestion(name, names());
             let rule = format!("column {name} is missing; there are {there}{suggestion}");
             InputFileError::new(self.header_location(), rule)
         })

@@ -17,7 +17,7 @@ use statrs::function::erf::erfc;
 const STEP_FALSE_ALARM_RATE: f64 = 1e-6;
 /// And one in 10⁹ for a run of equal values, for which the noise is taken to be white, or for two channels that change
 /// alike.
-pub const RUN_FALSE_ALARM_RATE: f64 = 1e-9;
+pub const EQUALITY_FALSE_ALARM_RATE: f64 = 1e-9;
 /// IEC 60751: a platinum thermometer ends at −200 °C and at 850 °C, which is what an open or a shorted
 /// one shows.
 const RTD_RANGE_C: [f64; 2] = [-200.0, 850.0];
@@ -27,7 +27,7 @@ const DEVICE_DISCONNECTED_C: f64 = -127.0;
 const POWER_ON_RESET_C: f64 = 85.0;
 /// A step to or from the value of a power-on that no thermal mass of a machine makes within
 /// [`MAX_ROW_GAP_S`], in K: 4 K/min.
-const MIN_POWER_ON_STEP_C: f64 = 20.0;
+const MIN_POWER_ON_STEP_K: f64 = 20.0;
 /// Rows nearer than this are near enough to distinguish such a step from heat, in s.
 pub const MAX_ROW_GAP_S: f64 = 300.0;
 /// The largest steps of a channel by which their tail is known: as many as make its scale known to a
@@ -39,9 +39,9 @@ const MAX_CONTINUATION_RATIO: f64 = 0.05;
 /// Rows on each side by which a value is compared with its neighbours' median.
 const NEIGHBOUR_ROWS_PER_SIDE: usize = 3;
 /// Parts of a channel of which the quietest says how much noise there is.
-const NOISE_PART_COUNT: usize = 4;
+const NOISE_SEGMENT_COUNT: usize = 4;
 /// Values of a part that are looked at: they show its share of flickering to a hundredth.
-const MAX_PART_VALUES: usize = 4096;
+const MAX_VALUES_PER_SEGMENT: usize = 4096;
 /// The most that a sound channel changes from row to row: a logger that is faster than its thermometers
 /// writes each reading down twice.
 const MAX_CHANGE_PROBABILITY: f64 = 0.5;
@@ -105,7 +105,7 @@ pub fn find_thermometer_faults(
         fault.mask_faulty_rows(&mut sound);
         faults.push(fault);
     }
-    if let Some(fault) = find_power_on_values(&sound, near) {
+    if let Some(fault) = find_power_on_fault(&sound, near) {
         fault.mask_faulty_rows(&mut sound);
         faults.push(fault);
     }
@@ -128,8 +128,8 @@ pub fn find_thermometer_faults(
 
 /// Stretches at the value of a power-on that are entered and left by a step that heat does not make; one at
 /// the start of the file has nothing to be entered from. One that lasts to the end may be an oven.
-fn find_power_on_values(values: &[f64], near: &[bool]) -> Option<ThermometerFault> {
-    let is_far = |a: f64, b: f64| (a - b).abs() >= MIN_POWER_ON_STEP_C;
+fn find_power_on_fault(values: &[f64], near: &[bool]) -> Option<ThermometerFault> {
+    let is_far = |a: f64, b: f64| (a - b).abs() >= MIN_POWER_ON_STEP_K;
     let mut rows = Vec::new();
     let mut start = 0;
     while let Some(first) = (start..values.len()).find(|&row| values[row] == POWER_ON_RESET_C) {
@@ -186,7 +186,7 @@ impl ThermometerChannel {
 
     /// Returns the largest ordinary step. The spacings of the largest of many values with an exponential tail are
     /// exponential, with the scale of the tail; a wider one parts steps of another kind from them.
-    fn largest_ordinary_step(&self) -> Option<f64> {
+    fn find_largest_ordinary_step(&self) -> Option<f64> {
         let mut sizes: Vec<f64> = self.steps.iter().map(|step| step.abs()).collect();
         sizes.sort_unstable_by(|a, b| b.total_cmp(a));
         let digit = sizes.iter().rev().copied().find(|size| *size > 0.0)?;
@@ -204,7 +204,7 @@ impl ThermometerChannel {
 
     /// Stretches between steps that no other is near: those that stand still, and single jumps.
     fn find_step_faults(&self) -> Vec<ThermometerFault> {
-        let Some(ordinary) = self.largest_ordinary_step() else { return Vec::new() };
+        let Some(ordinary) = self.find_largest_ordinary_step() else { return Vec::new() };
         let cuts: Vec<usize> =
             (0..self.steps.len()).filter(|&step| self.steps[step].abs() > ordinary).collect();
         let mut ends = vec![0];
@@ -262,7 +262,7 @@ impl ThermometerChannel {
             let jump = |&step: &usize| {
                 let jump =
                     ThermometerFault::Jump { by: self.steps[step], row: self.rows[step + 1] };
-                self.find_frozen_run_at_step(step).unwrap_or(jump)
+                self.find_frozen_fault_at_step(step).unwrap_or(jump)
             };
             faults.extend(jumps.iter().map(jump));
         }
@@ -271,7 +271,7 @@ impl ThermometerChannel {
 
     /// Returns the run of equal values that a step begins or ends, if there is none half as long elsewhere: then
     /// the channel stood still there, and the step is what it missed.
-    fn find_frozen_run_at_step(&self, step: usize) -> Option<ThermometerFault> {
+    fn find_frozen_fault_at_step(&self, step: usize) -> Option<ThermometerFault> {
         let mut runs = find_equal_value_runs(&self.values);
         runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         let [longest, second, ..] = &runs[..] else { return None };
@@ -283,7 +283,7 @@ impl ThermometerChannel {
 
     /// Readings that are equal by chance, at most, where each changes with this probability.
     fn max_chance_run_length(&self, changes: f64) -> f64 {
-        (self.values.len() as f64 / RUN_FALSE_ALARM_RATE).ln() / -(-changes).ln_1p()
+        (self.values.len() as f64 / EQUALITY_FALSE_ALARM_RATE).ln() / -(-changes).ln_1p()
     }
 
     fn frozen_fault(&self, run: &Range<usize>) -> ThermometerFault {
@@ -328,7 +328,7 @@ impl ThermometerChannel {
             .step_by(hold)
             .map(|at| self.values[at])
             .collect();
-        let part = rest.len() / NOISE_PART_COUNT;
+        let part = rest.len() / NOISE_SEGMENT_COUNT;
         let mut levels = rest.clone();
         levels.sort_unstable_by(f64::total_cmp);
         levels.dedup();
@@ -337,7 +337,7 @@ impl ThermometerChannel {
         }
         let quietest = rest
             .chunks_exact(part)
-            .map(|part| non_median_fraction(&part[..part.len().min(MAX_PART_VALUES)]))
+            .map(|part| non_median_fraction(&part[..part.len().min(MAX_VALUES_PER_SEGMENT)]))
             .fold(f64::INFINITY, f64::min);
         let digits_per_sigma = 0.8 / quietest;
         let changes = erfc(digits_per_sigma / 2.0 / SQRT_2).min(MAX_CHANGE_PROBABILITY);

@@ -19,7 +19,7 @@ pub(crate) const TEMPERATURE_UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as 
 pub(crate) const GRADIENT_UNITS_PER_UM_PER_M: f64 =
     1e-5 * (1_u64 << Gradient::FRACTION_BITS) as f64;
 /// A slope of 1 a kelvin in the board's integers.
-pub(crate) const SLOPE_UNITS_PER_KELVIN: f64 =
+pub(crate) const SLOPE_UNITS_PER_INVERSE_KELVIN: f64 =
     (1_u64 << (SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS)) as f64 / TEMPERATURE_UNITS_PER_KELVIN;
 
 /// Returns the nearest integer, or `None` where `i32` does not reach.

@@ -6,7 +6,7 @@ use std::path::Path;
 use trueup_core::{
     calibration::{Calibration, ElongationSource},
     displacement_sensor::{SensorLaw, SensorSlope},
-    learned::LearnedLimits,
+    learned_changes::LearnedLimits,
     limits::CompensationLimits,
     tool_direction::ToolDirection,
     units::{Nanometres, SensorReading, Temperature},

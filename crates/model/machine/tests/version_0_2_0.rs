@@ -21,7 +21,7 @@ use trueup_link::frames;
 use trueup_machine::{
     Machine, MachineFile, RunFile, compile,
     decompile::decompile_to_toml,
-    inputs::{LinearInput, TemperatureKind},
+    inputs::{LinearInput, TemperatureInputKind},
     predict::RunPredictor,
     schema,
 };
@@ -127,9 +127,9 @@ fn thermometers_at(c: f64, machine: &Machine) -> RawTemperatures {
     for input in machine.inputs.iter().flat_map(|inputs| inputs.temperatures.values()) {
         raw[usize::from(input.channel)] = RawTemperatureReading(match input.kind {
             // IEC 60751, in µΩ.
-            TemperatureKind::Pt100 => (1e8 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)) as i32,
+            TemperatureInputKind::Pt100 => (1e8 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)) as i32,
             // In 1/256 counts.
-            TemperatureKind::Linear(LinearInput { zero_counts, counts_per_c, .. }) => {
+            TemperatureInputKind::Linear(LinearInput { zero_counts, counts_per_c, .. }) => {
                 (256.0 * (zero_counts + c * counts_per_c)) as i32
             }
         });

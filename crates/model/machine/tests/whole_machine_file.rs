@@ -5,7 +5,7 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile,
-    inputs::TemperatureKind,
+    inputs::TemperatureInputKind,
     machine_file::{
         AxisModel, BSpline, Backlash, ElongationSource, Feedback, LinearAxis, MachineKind,
         PitchErrorTable, RotaryAxis, SecondDrive, SensorModel, Squareness, TemperatureModel,
@@ -110,7 +110,7 @@ fn every_key_of_the_example_arrives_in_its_field() {
     assert_eq!((machine.name.as_str(), machine.kind), ("gantry", MachineKind::HeadHead));
     assert_eq!(machine.head_axes, [RotaryAxis::C, RotaryAxis::A]);
     let inputs = machine.inputs.expect("written above");
-    assert_eq!(inputs.temperatures["temp_screw_c"].kind, TemperatureKind::Pt100);
+    assert_eq!(inputs.temperatures["temp_screw_c"].kind, TemperatureInputKind::Pt100);
 
     let spindle = machine.spindle;
     assert_eq!(spindle.source, Some(ElongationSource::Sensor));

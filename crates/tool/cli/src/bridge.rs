@@ -1,7 +1,7 @@
 //! `trueup bridge`: the requests to a bridge. The protocol is in `trueup-client`.
 
 pub mod backup;
-mod calibration_comparison;
+mod bridge_identity;
 mod disengage;
 mod forget_reference;
 pub mod info;
@@ -114,8 +114,8 @@ pub fn run(command: &Command, as_json: bool) -> Result<CommandOutcome> {
         Command::Disengage(args) => disengage::run(args, as_json),
         Command::Pending(args) => pending::run(args, as_json),
         Command::ForgetReference(args) => forget_reference::run(args, as_json),
-        Command::Save(args) => backup::save(args, as_json),
-        Command::Restore(args) => backup::restore_backup(args, as_json),
+        Command::Save(args) => backup::run_save(args, as_json),
+        Command::Restore(args) => backup::run_restore(args, as_json),
         Command::Monitor(args) => monitor::run(args, as_json),
     }
 }

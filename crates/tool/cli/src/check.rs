@@ -59,14 +59,14 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<CommandOutcome> {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
             refused.extend(check::combine_rejected_findings(
-                &check::range_findings(&machine),
+                &check::list_implausible_values(&machine),
                 &input_files::accepted_keys(),
             ));
             check_machine(path, &machine, as_json)?
         } else {
             let (run, mut reported) = preprocess_run(run_reader::read(path)?, adjacent.as_ref());
             refused.extend(check::combine_rejected_findings(
-                &check::column_findings(&run, adjacent.as_ref(), &[]),
+                &check::find_implausible_columns(&run, adjacent.as_ref(), &[]),
                 &input_files::accepted_keys(),
             ));
             let (warnings, summary) = check_run(path, &run, adjacent.as_ref(), as_json)?;

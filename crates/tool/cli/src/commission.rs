@@ -53,7 +53,7 @@ use crate::{
 #[derive(Args)]
 pub struct CommissionArgs {
     /// The kind of commissioning. Default: the growth of the spindle that the machine file describes.
-    kind: Option<Procedure>,
+    kind: Option<CommissioningKind>,
     /// The axis, for pitch and backlash.
     #[arg(long, value_name = "x|y|z", value_parser = parse_axis)]
     axis: Option<LinearAxis>,
@@ -86,7 +86,7 @@ pub struct CommissionArgs {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Procedure {
+enum CommissioningKind {
     /// The growth of the spindle, from cold.
     Warmup,
     /// The position errors of an axis.
@@ -115,14 +115,14 @@ impl CommissioningTask {
         let no_axis =
             |kind: &str| UserError(format!("{kind} needs an axis: --axis x, --axis y or --axis z"));
         match (args.kind, args.axis) {
-            (Some(Procedure::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
-            (Some(Procedure::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
-            (Some(Procedure::Pitch), None) => Err(no_axis("pitch")),
-            (Some(Procedure::Backlash), None) => Err(no_axis("backlash")),
-            (Some(Procedure::Warmup) | None, Some(_)) => Err(UserError(
+            (Some(CommissioningKind::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
+            (Some(CommissioningKind::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
+            (Some(CommissioningKind::Pitch), None) => Err(no_axis("pitch")),
+            (Some(CommissioningKind::Backlash), None) => Err(no_axis("backlash")),
+            (Some(CommissioningKind::Warmup) | None, Some(_)) => Err(UserError(
                 "an axis is commissioned by its pitch or its backlash: trueup commission pitch --axis …".into(),
             )),
-            (Some(Procedure::Warmup), None) => Ok(Self::Spindle),
+            (Some(CommissioningKind::Warmup), None) => Ok(Self::Spindle),
             (None, None) if machine.spindle == Spindle::default() => Err(UserError(format!(
                 "{file} has no [spindle]: choose what to commission: trueup commission warmup, or \
                  pitch or backlash with --axis. Straightness and the heat of an axis are measured and \
@@ -246,7 +246,7 @@ impl CommissioningSession<'_> {
     fn run_step(&mut self, step: Step) -> Result<Option<Step>> {
         let round = self.journal.round;
         let (believed, fitted) =
-            (self.file_name_for_round(round - 1, "toml"), self.file_name_for_round(round, "toml"));
+            (self.file_path_for_round(round - 1, "toml"), self.file_path_for_round(round, "toml"));
         Ok(match step {
             Step::Sign => self.run_sign_test()?.then_some(Step::Program),
             Step::Program => self.write_program()?.then_some(Step::Off),
@@ -278,7 +278,7 @@ impl CommissioningSession<'_> {
                 self.run_command(&words)?.then_some(Step::Load)
             }
             Step::Load => {
-                let blob = self.file_name_for_round(round, "bin");
+                let blob = self.file_path_for_round(round, "bin");
                 self.check_board_identity()?;
                 self.wait_until_disengaged()?;
                 let is_done = self.run_command(&["compile", &fitted, "-o", &blob])?
@@ -312,7 +312,7 @@ impl CommissioningSession<'_> {
     }
 
     /// Returns the machine file or calibration of a round; that of round 0 is the user's.
-    fn file_name_for_round(&self, round: u32, kind: &str) -> String {
+    fn file_path_for_round(&self, round: u32, kind: &str) -> String {
         self.path(&if round == 0 {
             format!("machine.{kind}")
         } else {
@@ -339,7 +339,7 @@ impl CommissioningSession<'_> {
         let cli = Cli::parse_command_line(all).context("a command of this tool")?;
         // A file of the sign test's pretends on purpose.
         let is_pretended = self.journal.next == Step::Sign;
-        let done = report::with_warnings(!is_pretended, || crate::run(&cli));
+        let done = report::with_warnings_enabled(!is_pretended, || crate::run(&cli));
         match done {
             Ok(CommandOutcome::Done) => Ok(true),
             Ok(CommandOutcome::NotMet) => {
@@ -367,7 +367,7 @@ impl CommissioningSession<'_> {
         }
         self.wait_until_disengaged()?;
         let Some(held) = self.back_up_board(compile(&test)?.crc())? else { return Ok(false) };
-        let tested = self.load_sign_test_calibration(&blob);
+        let tested = self.measure_sign_test(&blob);
         // Also if it was interrupted, or has failed.
         let back = self.restore_board(&held);
         match (tested, back) {
@@ -377,7 +377,7 @@ impl CommissioningSession<'_> {
     }
 
     /// Loads the calibration of the sign test and requests the reading, once what the board held is saved.
-    fn load_sign_test_calibration(&mut self, blob: &str) -> Result<bool> {
+    fn measure_sign_test(&mut self, blob: &str) -> Result<bool> {
         let axis = self.subject.axis();
         let port = self.args.port.clone();
         if !self.run_command(&["bridge", "load", blob, "--yes", "--port", &port])? {

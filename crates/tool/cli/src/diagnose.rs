@@ -22,7 +22,7 @@ use trueup_machine::{
     machine_file::Quantity,
 };
 use trueup_output::escape::escape_line;
-use trueup_page::{Provenance, format_micrometres, format_significant};
+use trueup_page::{Provenance, format_micrometres, format_three_digits};
 
 use crate::{
     CommandOutcome,
@@ -104,7 +104,7 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
 pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<CommandOutcome> {
     let input = &args.input;
     let source = MachineFile::read_text(&input.machine)?;
-    let machine = with_instrument_um(
+    let machine = with_instrument_uncertainty_um(
         input_files::parse_machine(&source, &input.machine)?,
         input.instrument_um,
     );
@@ -133,7 +133,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<CommandOutcome> {
     let mut inputs: Vec<&Path> = vec![&input.machine];
     let paths = input.run_paths();
     inputs.extend(paths.iter().map(PathBuf::as_path));
-    let made = diagnosis_files(
+    let made = render_diagnosis_files(
         &diagnosis,
         (&source, &input.machine),
         &provenance::provenance_from_files(&inputs)?,
@@ -166,15 +166,15 @@ fn create_progress_bar() -> ProgressBar {
 }
 
 /// Returns the machine with the instrument that is stated in the place of the machine file's.
-pub fn with_instrument_um(machine: Machine, instrument_um: Option<f64>) -> Machine {
+pub fn with_instrument_uncertainty_um(machine: Machine, instrument_um: Option<f64>) -> Machine {
     Machine { instrument_um: instrument_um.or(machine.instrument_um), ..machine }
 }
 
-/// The file of each row, next to those of [`diagnosis_files`].
+/// The file of each row, next to those of [`render_diagnosis_files`].
 pub const RESIDUALS_FILE: &str = "residuals.csv";
 
 /// Returns the files of a diagnosis of the machine file `source` at a path, as they are written to the folder `out`.
-pub fn diagnosis_files(
+pub fn render_diagnosis_files(
     diagnosis: &Diagnosis,
     (source, path): (&str, &Path),
     origin: &Provenance,
@@ -276,7 +276,7 @@ fn print(args: &DiagnoseArgs, diagnosis: &Diagnosis, as_json: bool) -> Result<()
             if let Some(written) = parameter.get("written").and_then(serde_json::Value::as_f64) {
                 output::print(format_args!(
                     "    written: {name} = {}",
-                    format_significant(written)
+                    format_three_digits(written)
                 ))?;
             }
         }

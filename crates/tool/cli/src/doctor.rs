@@ -12,7 +12,7 @@ use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
     port::PortAddress,
-    port_discovery::{self, FoundPort},
+    port_discovery::{self, PortInfo},
     session::Session,
 };
 use trueup_link::slcan::AdapterMessage;
@@ -48,8 +48,8 @@ const FRAME_TIMEOUT: Duration = Duration::from_secs(2);
 pub fn run(args: &DoctorArgs, as_json: bool) -> Result<CommandOutcome> {
     let ports = port_discovery::list_ports();
     let answer = args.port.as_ref().map(|port| probe_port(port));
-    let programs =
-        EXTERNAL_PROGRAMS.map(|(name, words, what)| (name, program_version(name, words), what));
+    let programs = EXTERNAL_PROGRAMS
+        .map(|(name, words, what)| (name, query_program_version(name, words), what));
     if as_json {
         let programs: Vec<Value> = programs
             .iter()
@@ -78,13 +78,13 @@ pub fn run(args: &DoctorArgs, as_json: bool) -> Result<CommandOutcome> {
 }
 
 /// Prints the ports that may have a bridge, one a line.
-pub fn print_ports(ports: &[FoundPort]) -> Result<()> {
+pub fn print_ports(ports: &[PortInfo]) -> Result<()> {
     if ports.is_empty() {
         return output::print(
             "ports            none: no serial device and no CAN interface; a virtual bridge is tcp:127.0.0.1:3333",
         );
     }
-    for FoundPort { name, what, obstacle } in ports {
+    for PortInfo { name, what, obstacle } in ports {
         let state = obstacle.as_deref().unwrap_or("can be opened");
         let what = if what.is_empty() { String::new() } else { format!("{what}, ") };
         output::print(format_args!("{name:<16} {what}{state}"))?;
@@ -93,14 +93,14 @@ pub fn print_ports(ports: &[FoundPort]) -> Result<()> {
 }
 
 /// Returns the same as JSON.
-pub fn ports_json(ports: &[FoundPort]) -> Value {
+pub fn ports_json(ports: &[PortInfo]) -> Value {
     let port =
-        |port: &FoundPort| json!({"port": port.name, "what": port.what, "obstacle": port.obstacle});
+        |port: &PortInfo| json!({"port": port.name, "what": port.what, "obstacle": port.obstacle});
     ports.iter().map(port).collect()
 }
 
 /// Returns the first line that a program says of its version; `None`: it is not here.
-fn program_version(name: &str, words: &[&str]) -> Option<String> {
+fn query_program_version(name: &str, words: &[&str]) -> Option<String> {
     let path = find_on_path(name)?;
     if words.is_empty() {
         return Some(path.display().to_string());

@@ -8,7 +8,7 @@ use crate::{UserError, output::FileTransaction};
 
 /// The image for QEMU, which `trueup virtual` starts.
 #[cfg(unix)]
-pub const VIRTUAL_IMAGE: &str = "trueup-virtual.elf";
+pub const VIRTUAL_IMAGE_FILE: &str = "trueup-virtual.elf";
 
 /// Name and bytes of each; none in a build for tests, or where they could not be built.
 const EMBEDDED_IMAGES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/carried.rs"));

@@ -89,7 +89,7 @@ pub fn run(args: &FitArgs, as_json: bool) -> Result<CommandOutcome> {
             folder,
         ))?;
     }
-    let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
+    let is_met = report.verdict.is_usable() && report.unmet.is_empty();
     Ok(if is_met { CommandOutcome::Done } else { CommandOutcome::NotMet })
 }
 
@@ -134,7 +134,7 @@ impl FitInput {
     }
 
     /// Returns what the rest of the machine file says of `run`, with a warning where it cannot.
-    fn known_errors_um(
+    fn predict_known_errors_um(
         &self,
         run: &UncompensatedRun<'_>,
         without: ExcludedSection,
@@ -163,7 +163,7 @@ fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Fit
         straightness::StraightnessFitOptions { method: args.method, ..args.curve.to_options() };
     let run = input.single_run()?;
     let known = |curve: &straightness::StraightnessCurve| {
-        input.known_errors_um(
+        input.predict_known_errors_um(
             run,
             ExcludedSection::Straightness { error: curve.error, along: curve.along },
         )
@@ -250,7 +250,7 @@ fn position_fit_options(
     Ok(pitch::PitchFitOptions {
         runs: args.repeats.clone(),
         feedback: feedback.unwrap_or_default(),
-        known_um: input.known_errors_um(run, ExcludedSection::Position(axis))?,
+        known_um: input.predict_known_errors_um(run, ExcludedSection::Position(axis))?,
         ..pitch::PitchFitOptions::default()
     })
 }
@@ -259,7 +259,7 @@ fn run_thermal_fit(input: &FitInput, args: &ThermalArgs) -> Result<FitReport> {
     let axis = resolve_axis(&input.runs, args.error.quantity().as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
-        match input.known_errors_um(run, ExcludedSection::Thermal(axis))? {
+        match input.predict_known_errors_um(run, ExcludedSection::Thermal(axis))? {
             Some(um) => known_um.extend(um),
             None => known_um.extend(vec![0.0; run.row_count()]),
         }
@@ -304,7 +304,7 @@ fn resolve_axis(
 }
 
 fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &FitReport) -> Result<bool> {
-    if report.edit.is_empty() || !report.verdict.is_fitted() {
+    if report.edit.is_empty() || !report.verdict.is_usable() {
         return Ok(false);
     }
     let text = match &input.machine {

@@ -143,7 +143,7 @@ fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<CommandOutcome> {
         until_empty: args.until_empty,
     };
     // What is doubtful in the files was reported when they were submitted.
-    let worked = report::with_warnings(false, || match &opened {
+    let worked = report::with_warnings_enabled(false, || match &opened {
         FleetBackend::Folder(store) => worker::run_workers(store, options, &job::diagnose),
         FleetBackend::Server(remote) => {
             remote.run_workers(options, &job::diagnose, &|text| report::print_warning(text))
@@ -233,7 +233,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<CommandOutcome> {
     let requested = structure::select_causes_to_fit(&records);
     for ((id, record), requested) in ids.iter().zip(&mut records).zip(requested) {
         let Some(requested) = requested else { continue };
-        match report::with_warnings(false, || {
+        match report::with_warnings_enabled(false, || {
             job::fit_constants(&store, id, &record.quantity, &requested)
         }) {
             Ok(answered) => record.replace_constants(answered),

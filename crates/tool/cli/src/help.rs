@@ -178,7 +178,7 @@ const OTHER_GROUP_HEADING: &str = "More";
 
 /// Returns the tool with its examples and short forms, its commands in groups.
 pub fn with_extended_help(tool: Command) -> Command {
-    let tool = with_help_examples(tool, "");
+    let tool = with_examples_and_shorts(tool, "");
     let groups = grouped_commands_text(&tool);
     tool.help_template(format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options of every command:\n{{options}}{{after-help}}\n"
@@ -207,9 +207,11 @@ fn grouped_commands_text(tool: &Command) -> String {
     text
 }
 
-fn with_help_examples(command: Command, path: &str) -> Command {
-    let shorts: Vec<_> =
-        command.get_arguments().filter_map(|argument| short_option(&command, argument)).collect();
+fn with_examples_and_shorts(command: Command, path: &str) -> Command {
+    let shorts: Vec<_> = command
+        .get_arguments()
+        .filter_map(|argument| find_short_option(&command, argument))
+        .collect();
     let command = command.mut_args(|option| with_short_option(option, &shorts));
     let example = COMMAND_EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
@@ -220,12 +222,12 @@ fn with_help_examples(command: Command, path: &str) -> Command {
     };
     command.mut_subcommands(|inner| {
         let path = format!("{path} {}", inner.get_name());
-        with_help_examples(inner, path.trim_start())
+        with_examples_and_shorts(inner, path.trim_start())
     })
 }
 
 /// Returns the name and the letter of an option; a folder next to a file of its own has none.
-fn short_option(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
+fn find_short_option(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
     let has =
         |name: &str| command.get_arguments().any(|argument| argument.get_long() == Some(name));
     let long = option.get_long()?;
@@ -276,7 +278,7 @@ mod tests {
         let mut counted = 0;
         each(&tool, "", &mut |command, path, option| {
             let Some(long) = option.get_long() else { return };
-            let requested = short_option(command, option).map(|(_, letter)| *letter);
+            let requested = find_short_option(command, option).map(|(_, letter)| *letter);
             if let Some(letter) = option.get_short() {
                 let is_global = ["quiet", "verbose", "help", "version"].contains(&long);
                 assert!(is_global || Some(letter) == requested, "{path} -{letter} is --{long}");

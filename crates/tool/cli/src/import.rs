@@ -149,7 +149,7 @@ pub fn run(args: &ImportArgs, as_json: bool) -> Result<CommandOutcome> {
                 }
             }
             Err(ImportError::Open(questions)) => {
-                return Err(open_questions_error(questions, as_json));
+                return Err(report_open_questions(questions, as_json));
             }
         }
     };
@@ -253,7 +253,7 @@ fn table_error(error: InputFileError, as_json: bool) -> Error {
 }
 
 /// Returns the open questions, each on a line with its flag, at most three lines.
-fn open_questions_error(questions: Vec<Question>, as_json: bool) -> Error {
+fn report_open_questions(questions: Vec<Question>, as_json: bool) -> Error {
     const MAX_ERROR_LINES: usize = 3;
     let more = questions.len().saturating_sub(MAX_ERROR_LINES);
     let shown = if more > 0 { MAX_ERROR_LINES - 1 } else { questions.len() };

@@ -47,9 +47,10 @@ pub fn read_machine(path: &Path) -> Result<Machine, InputFileError> {
 /// Parses and checks the text of a machine file in the same way as [`read_machine`].
 pub fn parse_machine(source: &str, path: &Path) -> Result<Machine, InputFileError> {
     let machine = MachineFile::parse(source, path)?;
-    if let Some(refused) =
-        check::combine_rejected_findings(&check::range_findings(&machine), &accepted_keys())
-    {
+    if let Some(refused) = check::combine_rejected_findings(
+        &check::list_implausible_values(&machine),
+        &accepted_keys(),
+    ) {
         return Err(refused);
     }
     report::print_brief_warnings(path, &check::machine_warnings(&machine));
@@ -70,18 +71,18 @@ pub fn check_machine_before_write(
     before: Option<&Machine>,
 ) -> anyhow::Result<Machine> {
     let machine = MachineFile::parse(text, path)?;
-    let known = before.map(check::range_findings).unwrap_or_default();
+    let known = before.map(check::list_implausible_values).unwrap_or_default();
     let is_new = |finding: &ImplausibleValue| {
         known.iter().all(|old| old.key != finding.key || old.warning.what != finding.warning.what)
     };
     let found: Vec<ImplausibleValue> =
-        check::range_findings(&machine).into_iter().filter(is_new).collect();
-    check_implausible_values(&path.display().to_string(), &found)?;
+        check::list_implausible_values(&machine).into_iter().filter(is_new).collect();
+    report_implausible_values(&path.display().to_string(), &found)?;
     Ok(machine)
 }
 
 /// The same for values without a line of a file: of a calibration, or of a file that is not there yet.
-pub fn check_implausible_values(name: &str, found: &[ImplausibleValue]) -> Result<(), UserError> {
+pub fn report_implausible_values(name: &str, found: &[ImplausibleValue]) -> Result<(), UserError> {
     if let Some(refused) = check::combine_rejected_findings(found, &accepted_keys()) {
         let each =
             refused.into_single_errors().map(|InputFileError { rule, help, .. }| match help {
@@ -112,7 +113,7 @@ pub fn read_runs_for_fit(
     let read: Vec<RunFile> =
         paths.iter().map(|path| run_reader::read(path)).collect::<Result<_, _>>()?;
     for run in &read {
-        reject_column_typos(&without_fault_values(run.clone()).0, machine, &read)?;
+        reject_implausible_columns(&without_fault_values(run.clone()).0, machine, &read)?;
     }
     read.into_iter().map(|run| prepare_run(run, machine)).collect()
 }
@@ -127,7 +128,7 @@ pub fn prepare_run(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, I
     let path = run.path().to_path_buf();
     let (run, reported) = preprocess_run(run, machine);
     report::print_brief_warnings(&path, &reported);
-    reject_unit_errors(&run, machine)?;
+    reject_impossible_columns(&run, machine)?;
     report::print_brief_warnings(&path, &check::run_warnings(&run, machine));
     report::print_remarks(&check::run_remarks(&run));
     Ok(run)
@@ -135,22 +136,28 @@ pub fn prepare_run(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, I
 
 fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, InputFileError> {
     match machine {
-        Some(machine) => run.with_machine_column_names(machine).with_tool_numbers(machine),
+        Some(machine) => run.with_machine_columns(machine).with_tool_numbers(machine),
         None => Ok(run),
     }
 }
 
-fn reject_unit_errors(run: &RunFile, machine: Option<&Machine>) -> Result<(), InputFileError> {
-    check::combine_rejected_findings(&check::column_findings(run, machine, &[]), &accepted_keys())
-        .map_or(Ok(()), Err)
+fn reject_impossible_columns(
+    run: &RunFile,
+    machine: Option<&Machine>,
+) -> Result<(), InputFileError> {
+    check::combine_rejected_findings(
+        &check::find_implausible_columns(run, machine, &[]),
+        &accepted_keys(),
+    )
+    .map_or(Ok(()), Err)
 }
 
-fn reject_column_typos(
+fn reject_implausible_columns(
     run: &RunFile,
     machine: Option<&Machine>,
     others: &[RunFile],
 ) -> Result<(), InputFileError> {
-    let found = check::column_findings(run, machine, others).into_iter();
+    let found = check::find_implausible_columns(run, machine, others).into_iter();
     let refused: Vec<ImplausibleValue> = found
         .map(|finding| ImplausibleValue { grade: Plausibility::Impossible, ..finding })
         .collect();
@@ -184,7 +191,7 @@ pub fn prepare_runs_lenient(
     let runs: Vec<RunFile> = runs.into_iter().map(named).collect::<Result<_, InputFileError>>()?;
     for run in &runs {
         let (sound, _) = without_fault_values(run.clone());
-        reject_column_typos(&sound, Some(machine), &runs)?;
+        reject_implausible_columns(&sound, Some(machine), &runs)?;
         report::print_brief_warnings(
             run.path(),
             &check::value_warnings(&sound, Some(machine), &runs),

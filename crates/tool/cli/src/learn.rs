@@ -158,7 +158,7 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<CommandOutcome> {
             ))?)?;
         } else {
             print(path, learned)?;
-            print_live_corrections(live.ok())?;
+            print_live_update(live.ok())?;
         }
         let is_refused =
             !learned.readings.iter().any(|reading| reading.used) && !learned.readings.is_empty();
@@ -303,7 +303,7 @@ fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
 }
 
 /// Prints the parts that a bridge on the user's file can take; nothing for a file that is not for a board.
-fn print_live_corrections(live: Option<LiveUpdate>) -> Result<()> {
+fn print_live_update(live: Option<LiveUpdate>) -> Result<()> {
     let Some(LiveUpdate { amounts, rest }) = live else { return Ok(()) };
     if let Some(text) = live_update::describe_amounts(&amounts.map(i32::from)) {
         output::print(format_args!("  trueup linuxcnc --learned sends to the bridge: {text}"))?;

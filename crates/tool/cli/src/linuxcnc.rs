@@ -26,12 +26,12 @@ use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_learn::{LiveUpdate, live_update};
 use trueup_linuxcnc::{
     RecordFile,
-    component::TEMPERATURE_COUNT,
+    component::TEMPERATURE_CHANNEL_COUNT,
     configuration::{OffsetEntryPoint, ini_file::IniFile},
     ini_settings::IniSettings,
     joint_offsets::MAX_JOINTS,
     offset_target,
-    run::{self, HalComponentSettings, LearnedUpdate},
+    run::{self, HalComponentSettings, LearnedCorrectionUpdate},
 };
 use trueup_machine::{
     Machine, MachineFile, bounded_read, compile,
@@ -114,7 +114,7 @@ pub struct LinuxCncArgs {
     #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
     learned: Option<PathBuf>,
     /// How many temp-NN pins there are.
-    #[arg(long, value_name = "N", default_value_t = TEMPERATURE_COUNT as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURE_COUNT as i64))]
+    #[arg(long, value_name = "N", default_value_t = TEMPERATURE_CHANNEL_COUNT as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURE_CHANNEL_COUNT as i64))]
     temperatures: u8,
     /// The name of the component. `loadusr -W` waits for the program's own; for another one,
     /// `loadusr -Wn NAME`.
@@ -202,7 +202,9 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<CommandOutcome> {
         Some(path) => {
             let ini = read_ini(path)?;
             if args.by == OffsetEntryPoint::Eoffset {
-                ini.slew_limit_warnings(slew_um_per_s).iter().for_each(|remark| log.write(remark));
+                ini.find_slew_limit_conflicts(slew_um_per_s)
+                    .iter()
+                    .for_each(|remark| log.write(remark));
             }
             ini
         }
@@ -221,7 +223,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<CommandOutcome> {
             {
                 log.write(&beyond);
             }
-            configuration::joint_settings(args.ini.as_deref(), slew_um_per_s)?
+            configuration::read_joint_settings(args.ini.as_deref(), slew_um_per_s)?
         }
     };
     let settings = HalComponentSettings {
@@ -258,7 +260,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<CommandOutcome> {
 }
 
 /// Looks after the learned file next to the loop, which has no time to read files.
-fn watch_learned_file(path: PathBuf, machine: Machine) -> Receiver<LearnedUpdate> {
+fn watch_learned_file(path: PathBuf, machine: Machine) -> Receiver<LearnedCorrectionUpdate> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         let mut before = None;
@@ -283,7 +285,7 @@ fn evaluate_learned_file(
     machine: &Machine,
     path: &Path,
     text: &Result<String, String>,
-) -> LearnedUpdate {
+) -> LearnedCorrectionUpdate {
     let name = path.display();
     let live = match text {
         Err(why) => Err(format!("{name}: {why}")),
@@ -292,7 +294,7 @@ fn evaluate_learned_file(
             .map_err(|error| error.to_string()),
     };
     match live {
-        Err(why) => LearnedUpdate {
+        Err(why) => LearnedCorrectionUpdate {
             amounts: None,
             notices: vec![format!("nothing new was learned: {why}")],
         },
@@ -302,7 +304,7 @@ fn evaluate_learned_file(
                 .unwrap_or_else(|| "nothing: the learned values sent before are taken back".into());
             let mut messages = vec![format!("learned values sent to the bridge: {text}")];
             messages.extend(rest);
-            LearnedUpdate { amounts: Some(amounts), notices: messages }
+            LearnedCorrectionUpdate { amounts: Some(amounts), notices: messages }
         }
     }
 }

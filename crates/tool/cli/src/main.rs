@@ -60,7 +60,7 @@ use std::{env, ffi::OsString, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use trueup_client::UnusableInput;
+use trueup_client::UnusableInputError;
 use trueup_machine::InputFileError;
 use trueup_output::escape::needs_escaping;
 
@@ -178,7 +178,7 @@ struct UserError(String);
 fn main() -> ExitCode {
     let cli = match Cli::parse_command_line(env::args_os()) {
         Ok(cli) => cli,
-        Err(error) => return print_usage(&error),
+        Err(error) => return print_clap_error(&error),
     };
     report::set_verbosity(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     input_files::set_accepted_keys(&cli.accept);
@@ -188,7 +188,7 @@ fn main() -> ExitCode {
 }
 
 /// Prints help, or what is wrong with the command line.
-fn print_usage(error: &clap::Error) -> ExitCode {
+fn print_clap_error(error: &clap::Error) -> ExitCode {
     let text = error.render();
     let is_help = !error.use_stderr();
     let is_terminal = match is_help {
@@ -225,7 +225,7 @@ fn report_outcome(ended: Result<CommandOutcome>) -> ExitCode {
                 report::print_input_file_error(error);
                 ExitCode::from(2)
             }
-            Err(error) if error.is::<UserError>() || error.is::<UnusableInput>() => {
+            Err(error) if error.is::<UserError>() || error.is::<UnusableInputError>() => {
                 report::print_error(error);
                 ExitCode::from(2)
             }

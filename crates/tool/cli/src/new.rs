@@ -46,7 +46,7 @@ pub struct NewArgs {
     #[arg(long, value_delimiter = ',', value_name = "AXES", value_parser = by_name(RotaryAxis::ALL, RotaryAxis::name))]
     head_axes: Option<Vec<RotaryAxis>>,
     /// An axis and the ends of its travel in mm, once for each: x=0:600. X of a lathe is a radius.
-    #[arg(long, value_name = "AXIS=FROM:TO", value_parser = parse_travel, allow_hyphen_values = true)]
+    #[arg(long, value_name = "AXIS=FROM:TO", value_parser = parse_axis_travel, allow_hyphen_values = true)]
     travel: Vec<(LinearAxis, [f64; 2])>,
     /// Where the positions are measured.
     #[arg(long, value_parser = by_name(Feedback::ALL, Feedback::name))]
@@ -89,7 +89,7 @@ const CNC_CONTROLS: [(CncControl, &str); 4] = [
     (CncControl::Heidenhain, "heidenhain"),
 ];
 
-fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
+fn parse_axis_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
     let axis = LinearAxis::ALL
         .into_iter()
@@ -105,10 +105,10 @@ pub fn run(args: &NewArgs, as_json: bool) -> Result<CommandOutcome> {
     // Before anything is asked: answers are not to be lost.
     let is_name_missing = requests && args.output.is_none() && args.name.is_none();
     if !is_name_missing {
-        check_creatable(&output_path(args, &template.name))?;
+        check_new_file_path(&output_path(args, &template.name))?;
     }
     let check_name =
-        |name: &str| check_creatable(&output_path(args, name)).map_err(|error| error.0);
+        |name: &str| check_new_file_path(&output_path(args, name)).map_err(|error| error.0);
     let template = match requests {
         true => questionnaire::run_questionnaire(
             template,
@@ -148,7 +148,7 @@ fn output_path(args: &NewArgs, machine: &str) -> PathBuf {
 }
 
 /// Fails if a file cannot be written without harm to another one.
-fn check_creatable(path: &Path) -> Result<(), UserError> {
+fn check_new_file_path(path: &Path) -> Result<(), UserError> {
     if output::is_standard_output(path) {
         return Ok(());
     }

@@ -72,14 +72,14 @@ impl<'i> FileTransaction<'i> {
             // A device or a pipe has no content to keep, and its name must stay its own.
             Ok(there) if !there.is_file() => {
                 let out = OpenOptions::new().write(true).open(&target);
-                let mut out = BufWriter::new(out.map_err(|error| new_write_error(path, &error))?);
+                let mut out = BufWriter::new(out.map_err(|error| write_error(path, &error))?);
                 return write(&mut out)
                     .and_then(|result| out.flush().map(|()| result))
                     .with_context(during);
             }
             _ => {}
         }
-        let new = sibling_temp_file(&target).map_err(|error| new_write_error(path, &error))?;
+        let new = create_sibling_temp_file(&target).map_err(|error| write_error(path, &error))?;
         let mut out = BufWriter::new(new);
         let result = write(&mut out).with_context(during)?;
         let new = out.into_inner().map_err(io::IntoInnerError::into_error).with_context(during)?;
@@ -134,7 +134,7 @@ impl<'i> FileTransaction<'i> {
                             None => fs::remove_file(&target),
                         };
                     }
-                    return Err(new_write_error(&path, &error).into());
+                    return Err(write_error(&path, &error).into());
                 }
             }
         }
@@ -181,7 +181,7 @@ pub fn create_folder(folder: &Path) -> Result<(), UserError> {
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))
 }
 
-fn new_write_error(path: &Path, error: &io::Error) -> UserError {
+fn write_error(path: &Path, error: &io::Error) -> UserError {
     UserError(format!("{}: cannot be written: {error}", path.display()))
 }
 
@@ -190,7 +190,7 @@ fn create_backup(target: &Path, is_requested: bool) -> io::Result<Option<TempPat
     if !is_requested || !target.exists() {
         return Ok(None);
     }
-    let name = sibling_temp_file(target)?.into_temp_path();
+    let name = create_sibling_temp_file(target)?.into_temp_path();
     fs::remove_file(&name)?;
     // A file system without hard links has a copy.
     fs::hard_link(target, &name).or_else(|_| fs::copy(target, &name).map(drop))?;
@@ -214,7 +214,7 @@ pub fn is_standard_output(path: &Path) -> bool {
 }
 
 /// Returns an empty file in the folder of `target`, removed unless it is given a name.
-fn sibling_temp_file(target: &Path) -> io::Result<NamedTempFile> {
+fn create_sibling_temp_file(target: &Path) -> io::Result<NamedTempFile> {
     let folder = match target.parent() {
         Some(folder) if folder != Path::new("") => folder.to_path_buf(),
         _ => PathBuf::from("."),

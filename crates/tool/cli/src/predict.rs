@@ -46,7 +46,7 @@ pub fn run(args: &PredictArgs, as_json: bool) -> Result<CommandOutcome> {
             predictor.missing_columns().join(", ")
         ));
     }
-    let bar = run_reader::progress_bar(
+    let bar = run_reader::create_progress_bar(
         "writing",
         run.row_count() as u64,
         run_reader::file_size(run_path),
@@ -69,7 +69,7 @@ fn describe_guarantee_violation(
     predictor: &RunPredictor<'_>,
     written: &PredictionSummary,
 ) -> Option<String> {
-    let ((_, nm), promised_nm) = (written.broken_promise?, predictor.guaranteed_difference_nm()?);
+    let ((_, nm), promised_nm) = (written.broken_promise?, predictor.difference_bound_nm()?);
     Some(format!(
         "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row exceeds the range of the board's numbers"
     ))

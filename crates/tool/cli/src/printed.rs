@@ -45,7 +45,7 @@ fn extract_commands(place: &str, text: &str) -> Vec<DocumentedCommand> {
             is_whole,
         };
         if !is_code {
-            all.extend(inline_code_spans(line).map(|span| printed(span, false)));
+            all.extend(inline_trueup_commands(line).map(|span| printed(span, false)));
             continue;
         }
         // A line goes on behind a backslash.
@@ -62,12 +62,12 @@ fn extract_commands(place: &str, text: &str) -> Vec<DocumentedCommand> {
     all
 }
 
-fn inline_code_spans(text: &str) -> impl Iterator<Item = &str> {
+fn inline_trueup_commands(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2).filter(|part| part.starts_with("trueup "))
 }
 
 /// Returns the words of a line without the text about it: a comment, a redirection, what follows two spaces.
-fn command_words(line: &str) -> Vec<String> {
+fn split_command_words(line: &str) -> Vec<String> {
     let line = line.split("  ").next().unwrap_or_default();
     let line = line.split(" #").next().unwrap_or_default();
     let line = line.split(" > ").next().unwrap_or_default();
@@ -76,7 +76,7 @@ fn command_words(line: &str) -> Vec<String> {
 
 /// Why the tool does not take a command; `None`: it does.
 fn rejection_reason(it: &DocumentedCommand) -> Option<String> {
-    let mut words = command_words(&it.line);
+    let mut words = split_command_words(&it.line);
     // Alternatives (`pitch|backlash`): the first. Words that stand for others (`M.toml`, `KIND`) are taken as they are.
     for word in &mut words {
         let first = word.split('|').next().map(str::to_owned);
@@ -124,7 +124,7 @@ fn every_command_that_is_printed_is_one_that_the_tool_takes() {
     for path in &sources {
         // What stands in the text of a message; a `{}` is filled in when it is printed.
         for line in read(path).lines() {
-            let found = inline_code_spans(line).filter(|span| !span.contains('{'));
+            let found = inline_trueup_commands(line).filter(|span| !span.contains('{'));
             all.extend(found.map(|line| DocumentedCommand {
                 place: name(path),
                 line: line.into(),

@@ -16,7 +16,7 @@ const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_IS
 
 /// That of a report of today from these files.
 pub fn provenance_from_files(files: &[&Path]) -> Result<Provenance> {
-    let named = |path: &&Path| Ok((path.display().to_string(), file_crc32(path)?));
+    let named = |path: &&Path| Ok((path.display().to_string(), compute_file_crc32(path)?));
     Ok(provenance_from_checksums(files.iter().map(named).collect::<Result<_>>()?))
 }
 
@@ -32,7 +32,7 @@ fn provenance_from_checksums(files: Vec<(String, u32)>) -> Provenance {
     Provenance { version: env!("CARGO_PKG_VERSION").into(), date, files }
 }
 
-fn file_crc32(path: &Path) -> Result<u32> {
+fn compute_file_crc32(path: &Path) -> Result<u32> {
     let during = || format!("while reading {} again", path.display());
     let mut file = BufReader::with_capacity(1 << 16, File::open(path).with_context(during)?);
     let mut digest = CRC.digest();
@@ -56,6 +56,6 @@ mod tests {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
         std::fs::write(file.path(), "123456789").expect("it is written");
         // The check value of CRC-32/ISO-HDLC.
-        assert_eq!(file_crc32(file.path()).expect("it is read"), 0xCBF4_3926);
+        assert_eq!(compute_file_crc32(file.path()).expect("it is read"), 0xCBF4_3926);
     }
 }

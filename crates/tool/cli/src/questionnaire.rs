@@ -87,7 +87,7 @@ pub fn default_head_axes(kind: MachineKind) -> Vec<RotaryAxis> {
 
 /// The questions, in their order.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Question {
+enum MachineQuestion {
     Name,
     Kind,
     Head,
@@ -115,7 +115,7 @@ pub fn run_questionnaire(
     answers: &AnsweredQuestions,
     check_name: &dyn Fn(&str) -> Result<(), String>,
 ) -> Result<MachineTemplate> {
-    use Question as Q;
+    use MachineQuestion as Q;
     let all = [
         (Q::Name, answers.name),
         (Q::Kind, answers.kind),
@@ -129,7 +129,7 @@ pub fn run_questionnaire(
         (Q::Thermometers, answers.thermometers),
         (Q::Control, answers.control),
     ];
-    let open: Vec<Question> = all
+    let open: Vec<MachineQuestion> = all
         .into_iter()
         .filter(|(_, is_reported)| !is_reported)
         .map(|(question, _)| question)
@@ -151,10 +151,12 @@ pub fn run_questionnaire(
 }
 
 /// Returns whether a question makes sense after the answers so far.
-fn is_applicable(question: Question, template: &MachineTemplate) -> bool {
+fn is_applicable(question: MachineQuestion, template: &MachineTemplate) -> bool {
     match question {
-        Question::Head => !default_head_axes(template.kind).is_empty(),
-        Question::Travel(axis) => template.kind != MachineKind::Lathe || axis != LinearAxis::Y,
+        MachineQuestion::Head => !default_head_axes(template.kind).is_empty(),
+        MachineQuestion::Travel(axis) => {
+            template.kind != MachineKind::Lathe || axis != LinearAxis::Y
+        }
         _ => true,
     }
 }
@@ -169,19 +171,19 @@ fn parse_yes_no(text: &str) -> Result<bool, String> {
 
 /// Asks one question; false: back to the one before.
 fn prompt_question(
-    question: Question,
+    question: MachineQuestion,
     template: &mut MachineTemplate,
     check_name: &dyn Fn(&str) -> Result<(), String>,
 ) -> Result<bool> {
     use PromptAnswer::Given;
     match question {
-        Question::Name => {
+        MachineQuestion::Name => {
             let Given(name) = prompt_name(&template.name, check_name)? else {
                 return Ok(false);
             };
             template.name = name;
         }
-        Question::Kind => {
+        MachineQuestion::Kind => {
             let kinds = [
                 ("a mill with X, Y and Z only", MachineKind::ThreeAxis),
                 ("two rotary axes carry the spindle", MachineKind::HeadHead),
@@ -196,7 +198,7 @@ fn prompt_question(
             template.head_axes = Vec::new();
             template.axes.retain(|(axis, _)| kind != MachineKind::Lathe || *axis != LinearAxis::Y);
         }
-        Question::Head => {
+        MachineQuestion::Head => {
             let kind = template.kind;
             let usual: Vec<&str> = default_head_axes(kind).iter().map(|axis| axis.name()).collect();
             let prompt = match usual.len() {
@@ -204,12 +206,12 @@ fn prompt_question(
                 _ => "Which ones carry the spindle, from the frame to the tool",
             };
             let parse = |text: &str| parse_head_axes(text, kind);
-            let Given(axes) = prompt_required(prompt, &usual.join(","), parse)? else {
+            let Given(axes) = prompt_with_default(prompt, &usual.join(","), parse)? else {
                 return Ok(false);
             };
             template.head_axes = axes;
         }
-        Question::Travel(axis) => {
+        MachineQuestion::Travel(axis) => {
             let is_radius = template.kind == MachineKind::Lathe && axis == LinearAxis::X;
             let radius = if is_radius { " (radius)" } else { "" };
             let prompt =
@@ -220,7 +222,7 @@ fn prompt_question(
             template.axes.retain(|(other, _)| *other != axis);
             template.axes.extend(travel.map(|travel| (axis, travel)));
         }
-        Question::Feedback => {
+        MachineQuestion::Feedback => {
             let places = [
                 ("on the motor or screw", Feedback::Screw),
                 ("by a scale on the axis", Feedback::Scale),
@@ -230,7 +232,7 @@ fn prompt_question(
             };
             template.feedback = feedback;
         }
-        Question::Rapid => {
+        MachineQuestion::Rapid => {
             let Given(rapid) =
                 prompt_optional("Rapid traverse in mm/min", "not known", parse_positive)?
             else {
@@ -238,9 +240,9 @@ fn prompt_question(
             };
             template.rapid_mm_per_min = rapid;
         }
-        Question::Sensor => return prompt_optional_sensor(template),
-        Question::Thermometers => return prompt_thermometers(template),
-        Question::Control => {
+        MachineQuestion::Sensor => return prompt_optional_sensor(template),
+        MachineQuestion::Thermometers => return prompt_thermometers(template),
+        MachineQuestion::Control => {
             let controls = [
                 ("LinuxCNC", CncControl::LinuxCnc),
                 ("Siemens 840D", CncControl::Siemens),
@@ -261,7 +263,7 @@ fn prompt_name(
     usual: &str,
     check_name: &dyn Fn(&str) -> Result<(), String>,
 ) -> Result<PromptAnswer<String>> {
-    prompt_required("Name of the machine", &usual, |text| {
+    prompt_with_default("Name of the machine", &usual, |text| {
         check_name(text).map(|()| text.to_string())
     })
 }
@@ -272,7 +274,7 @@ fn prompt_optional_sensor(template: &mut MachineTemplate) -> Result<bool> {
     template.sensor = None;
     loop {
         let prompt = "Is there a displacement sensor at the spindle? y or n";
-        match prompt_required(prompt, &"y", parse_yes_no)? {
+        match prompt_with_default(prompt, &"y", parse_yes_no)? {
             Back => return Ok(false),
             Given(false) => break,
             Given(true) => {}
@@ -314,11 +316,11 @@ fn prompt_sensor() -> Result<PromptAnswer<SensorDataSheet>> {
         let given = match step {
             0 => {
                 let prompt = "Its output at the end of its range, in V";
-                prompt_required(prompt, &sheet.volts_full_scale, parse_positive)?
+                prompt_with_default(prompt, &sheet.volts_full_scale, parse_positive)?
             }
             1 => {
                 let prompt = "µm for one volt (data sheet: range in µm / volts)";
-                prompt_required(prompt, &sheet.um_per_v, parse_nonzero)?
+                prompt_with_default(prompt, &sheet.um_per_v, parse_nonzero)?
             }
             _ => {
                 let volts_full_scale = sheet.volts_full_scale;
@@ -327,7 +329,7 @@ fn prompt_sensor() -> Result<PromptAnswer<SensorDataSheet>> {
                     _ => Err(format!("must be from 0 to {volts_full_scale} V")),
                 };
                 let prompt = "What a voltmeter shows when the machine is cold, in V";
-                prompt_required(prompt, &(volts_full_scale / 2.0), within)?
+                prompt_with_default(prompt, &(volts_full_scale / 2.0), within)?
             }
         };
         match (given, step) {
@@ -343,7 +345,7 @@ fn prompt_sensor() -> Result<PromptAnswer<SensorDataSheet>> {
 }
 
 /// Returns an answer that is read by `read`; nothing is `usual`.
-fn prompt_required<T>(
+fn prompt_with_default<T>(
     prompt: &str,
     usual: &impl ToString,
     read: impl Fn(&str) -> Result<T, String>,

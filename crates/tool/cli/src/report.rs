@@ -57,7 +57,7 @@ pub fn verbosity() -> Verbosity {
 static ARE_WARNINGS_SUPPRESSED: AtomicBool = AtomicBool::new(false);
 
 /// Returns what `command` comes to; warnings about its files are printed only if it is `of_use`.
-pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
+pub fn with_warnings_enabled<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
     ARE_WARNINGS_SUPPRESSED.store(!of_use, Ordering::Relaxed);
     let done = command();
     ARE_WARNINGS_SUPPRESSED.store(false, Ordering::Relaxed);

@@ -66,7 +66,7 @@ fn import_required_error(path: &Path) -> InputFileError {
 fn read_run(path: &Path) -> Result<RunFile, InputFileError> {
     let file = RunFile::open(path)?;
     let bytes = file_size(path);
-    let bar = progress_bar("reading", bytes, bytes);
+    let bar = create_progress_bar("reading", bytes, bytes);
     let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
     bar.finish_and_clear();
     run
@@ -78,7 +78,7 @@ pub fn file_size(path: &Path) -> u64 {
 }
 
 /// Returns a bar of `steps` on standard error; none for a short run, or without a terminal.
-pub fn progress_bar(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
+pub fn create_progress_bar(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
     if run_bytes < MIN_PROGRESS_BAR_BYTES {
         return ProgressBar::hidden();
     }

@@ -33,7 +33,7 @@ pub struct ServeArgs {
     #[arg(long = "port", value_name = "PORT", required = true)]
     ports: Vec<String>,
     /// The name of the edge node in the group trueup.
-    #[arg(long, value_name = "NAME", value_parser = parse_node_name)]
+    #[arg(long, value_name = "NAME", value_parser = parse_topic_level)]
     name: String,
     /// The folder of the spool: of one publisher alone.
     #[arg(long, value_name = "DIR")]
@@ -63,7 +63,7 @@ pub struct ServeArgs {
     #[arg(long, value_name = "PEM", requires = "cert")]
     key: Option<PathBuf>,
     /// Publishes only while this host application is online.
-    #[arg(long, value_name = "HOST", requires = "mqtt", value_parser = parse_node_name)]
+    #[arg(long, value_name = "HOST", requires = "mqtt", value_parser = parse_topic_level)]
     primary_host: Option<String>,
     /// Where agents of MTConnect connect. Only this computer's reach it unless you name another address.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -77,7 +77,7 @@ pub struct ServeArgs {
 }
 
 /// Parses a name that is a level of a topic. NATS refuses a topic with a space, and closes the connection.
-fn parse_node_name(text: &str) -> Result<String, String> {
+fn parse_topic_level(text: &str) -> Result<String, String> {
     let is_sound = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     if text.is_empty() || text.len() > 64 || !text.chars().all(is_sound) {
         return Err("has 1 to 64 letters, digits, -, _ or ., and no space".into());

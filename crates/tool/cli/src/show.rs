@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::json;
-use trueup_machine::{check::range_findings, compile::decompile, decompile};
+use trueup_machine::{check::list_implausible_values, compile::decompile, decompile};
 use trueup_store::calibration::{decode, validate_blob};
 
 use crate::{CommandOutcome, UserError, input_files, output, report};
@@ -25,7 +25,7 @@ pub fn run(from: &Path, as_json: bool) -> Result<CommandOutcome> {
         ));
     }
     // What is shown is not used: the impossible is reported as well, and `compile` refuses it.
-    for finding in range_findings(&decompile(&calibration)) {
+    for finding in list_implausible_values(&decompile(&calibration)) {
         report::print_warning(format_args!("{}: {}", from.display(), finding.warning.what));
     }
     let shown = decompile::decompile_to_toml(&calibration);

@@ -19,7 +19,7 @@ use crate::{
 /// A file that is handed out is no larger than this.
 const MAX_SIGNED_FILE_BYTES: u64 = 1 << 30;
 /// A key in PEM has some hundred.
-const MAX_KEY_BYTES: u64 = 10_000;
+const MAX_KEY_OR_SIGNATURE_BYTES: u64 = 10_000;
 
 /// Signs files (Ed25519), so that the receiver can check from whom they are: FILE.sig next to each.
 ///
@@ -94,7 +94,7 @@ fn signature_path(file: &Path) -> PathBuf {
 }
 
 fn sign_files(key: &Path, names: &[PathBuf]) -> Result<CommandOutcome> {
-    let pem = input_files::read_text(key, MAX_KEY_BYTES)?;
+    let pem = input_files::read_text(key, MAX_KEY_OR_SIGNATURE_BYTES)?;
     let private = PrivateKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let inputs: Vec<&Path> = names.iter().map(PathBuf::as_path).chain([key]).collect();
     let mut set = FileTransaction::new(&inputs);
@@ -110,14 +110,14 @@ fn sign_files(key: &Path, names: &[PathBuf]) -> Result<CommandOutcome> {
 }
 
 fn verify_signatures(key: &Path, names: &[PathBuf]) -> Result<CommandOutcome> {
-    let pem = input_files::read_text(key, MAX_KEY_BYTES)?;
+    let pem = input_files::read_text(key, MAX_KEY_OR_SIGNATURE_BYTES)?;
     let public = PublicKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let mut outcome = CommandOutcome::Done;
     for file in names {
         let path = signature_path(file);
         let signature_state = if path.is_file() {
             let message = input_files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?;
-            let signature = input_files::read_bytes(&path, MAX_KEY_BYTES)?;
+            let signature = input_files::read_bytes(&path, MAX_KEY_OR_SIGNATURE_BYTES)?;
             public.verify(&message, &signature).map_err(|fault| fault.to_string())
         } else {
             Err("is missing".to_owned())

@@ -52,8 +52,11 @@ pub fn run(args: &VirtualArgs) -> Result<CommandOutcome> {
     let image = || match &args.image {
         Some(image) => Ok(image.clone()),
         None => {
-            embedded_images::write_images(folder.path(), Some(embedded_images::VIRTUAL_IMAGE))?;
-            Ok(folder.path().join(embedded_images::VIRTUAL_IMAGE))
+            embedded_images::write_images(
+                folder.path(),
+                Some(embedded_images::VIRTUAL_IMAGE_FILE),
+            )?;
+            Ok(folder.path().join(embedded_images::VIRTUAL_IMAGE_FILE))
         }
     };
     trueup_virtual_bridge::run(&machine, &args.options, image, stop)?;

@@ -57,7 +57,7 @@ impl BuildVersion {
     /// assert!(tool.difference(&BuildVersion::new("0.1.0", "unknown")).is_some());
     /// ```
     #[must_use]
-    pub fn difference(&self, bridge: &Self) -> Option<String> {
+    pub fn describe_difference(&self, bridge: &Self) -> Option<String> {
         let is_other_commit =
             self.commit.zip(bridge.commit).is_some_and(|(tool, bridge)| tool != bridge);
         (self.version != bridge.version || is_other_commit).then(|| {

@@ -92,7 +92,7 @@ impl CncState {
     }
 
     /// Returns the cells of a row at this time of the bridge, empty where nothing is known.
-    pub(crate) fn cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
+    pub(crate) fn row_cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
         COLUMN_DECIMALS.into_iter().enumerate().map(move |(column, decimals)| {
             self.value(column, now_ms)
                 .map(|value| format!("{value:.decimals$}"))
@@ -124,7 +124,7 @@ mod tests {
         let rotary =
             RotaryAxisAngles { angles: [MicroDegrees(-90_000_000), MicroDegrees(1_234_567)] };
         cnc.receive(&frames::encode_rotary(rotary, 0), 1_300);
-        let at = |ms| cnc.cells(ms).collect::<Vec<_>>().join(",");
+        let at = |ms| cnc.row_cells(ms).collect::<Vec<_>>().join(",");
         assert_eq!(at(1_500), "12000,-7,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_501), ",,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_801), ",,,,,,,,,");

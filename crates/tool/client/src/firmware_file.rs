@@ -12,7 +12,7 @@ use trueup_boot::{
 };
 
 /// The most bytes of a file: two full slots, and one to see that it is longer.
-pub const MAX_FIRMWARE_FILE_BYTES: u64 = 2 * SLOT_SIZE as u64 + 1;
+pub const MAX_FIRMWARE_READ_BYTES: u64 = 2 * SLOT_SIZE as u64 + 1;
 
 /// A firmware for one slot: its bytes, header first, as they go to the board.
 #[derive(Debug, PartialEq, Eq)]
@@ -164,25 +164,25 @@ struct ReadOnlySlotFlash<'b> {
 
 /// A read outside of the part.
 #[derive(Debug)]
-struct OutOfRange;
+struct OutOfRangeError;
 
-impl NorFlashError for OutOfRange {
+impl NorFlashError for OutOfRangeError {
     fn kind(&self) -> NorFlashErrorKind {
         NorFlashErrorKind::OutOfBounds
     }
 }
 
 impl ErrorType for ReadOnlySlotFlash<'_> {
-    type Error = OutOfRange;
+    type Error = OutOfRangeError;
 }
 
 impl ReadNorFlash for ReadOnlySlotFlash<'_> {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), OutOfRange> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), OutOfRangeError> {
         let start = u32::from(self.slot.number()) * SLOT_SIZE;
-        let from = offset.checked_sub(start).ok_or(OutOfRange)? as usize;
-        let part = self.bytes.get(from..from + bytes.len()).ok_or(OutOfRange)?;
+        let from = offset.checked_sub(start).ok_or(OutOfRangeError)? as usize;
+        let part = self.bytes.get(from..from + bytes.len()).ok_or(OutOfRangeError)?;
         bytes.copy_from_slice(part);
         Ok(())
     }

@@ -23,7 +23,7 @@ use crate::{
 
 /// The content of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlotContent {
+pub struct SlotInfo {
     /// `None`: no valid header is there.
     pub version: Option<FirmwareVersion>,
     /// `None`: a status of a later version of the board.
@@ -36,7 +36,7 @@ pub struct FirmwareSlots {
     /// The one that runs.
     pub running: Slot,
     /// A, B.
-    pub slots: [SlotContent; 2],
+    pub slots: [SlotInfo; 2],
     /// The oldest version that may start.
     pub floor: FirmwareVersion,
     /// The reason that the boot program has handed over; `None`: it has not, because it is older than that.
@@ -74,7 +74,7 @@ pub enum SlotChoiceReason {
 
 /// Why a board must not get a file, found before anything is erased.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum UnsuitableFirmware {
+pub enum UnsuitableFirmwareError {
     /// The file has no part for the slot that is to be written.
     #[error(
         "the board runs from slot {}, so slot {} is to be written, and the file has no part for it. Take the file with both \
@@ -115,7 +115,7 @@ pub enum UnsuitableFirmware {
     OnTrial,
 }
 
-impl SlotContent {
+impl SlotInfo {
     /// Returns the status in one word, as JSON has it.
     #[must_use]
     pub(crate) const fn status_name(&self) -> &'static str {
@@ -142,7 +142,7 @@ impl SlotContent {
 
     /// Returns whether it starts before one that is incomplete or has failed.
     fn is_eligible(&self) -> bool {
-        self.version.is_some() && self.status.is_some_and(ImageStatus::is_eligible)
+        self.version.is_some() && self.status.is_some_and(ImageStatus::is_preferred)
     }
 
     fn to_json(self) -> Value {
@@ -154,7 +154,7 @@ impl SlotContent {
     }
 }
 
-impl fmt::Display for SlotContent {
+impl fmt::Display for SlotInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(version) = self.version {
             write!(f, "{version}, ")?;
@@ -220,7 +220,7 @@ impl FirmwareSlots {
         };
         let running = Slot::ALL.into_iter().find(|slot| u32::from(slot.number()) == running);
         let running = running.context("the bridge runs from a slot that is neither A nor B")?;
-        let slots = [read_slot_content(session, Slot::A)?, read_slot_content(session, Slot::B)?];
+        let slots = [read_slot_info(session, Slot::A)?, read_slot_info(session, Slot::B)?];
         let floor = FirmwareVersion(sdo_object::read_number(session, MIN_FIRMWARE_VERSION)?);
         let reported = match sdo_object::read_number(session, SLOT_CHOICE) {
             Err(error) if is_slot_access_unsupported(&error) => None,
@@ -231,7 +231,7 @@ impl FirmwareSlots {
 
     /// Returns the content of a slot.
     #[must_use]
-    pub const fn slot_content(&self, slot: Slot) -> &SlotContent {
+    pub const fn slot_info(&self, slot: Slot) -> &SlotInfo {
         slot.element_of(&self.slots)
     }
 
@@ -246,8 +246,7 @@ impl FirmwareSlots {
 
     /// Returns the reason of the boot program, with what has happened since.
     fn reported_choice_reason(&self, StartInfo { reason, other }: StartInfo) -> SlotChoiceReason {
-        let (ours, spare) =
-            (self.slot_content(self.running), self.slot_content(self.running.other()));
+        let (ours, spare) = (self.slot_info(self.running), self.slot_info(self.running.other()));
         let is_confirmed = ours.status == Some(ImageStatus::Confirmed);
         let waits = spare.version > ours.version && spare.status == Some(ImageStatus::Verified);
         match (reason, other) {
@@ -272,8 +271,7 @@ impl FirmwareSlots {
     /// Returns why the slot that runs was probably chosen, by the rules of `trueup_boot::start` and what the slots hold
     /// now. It cannot know a dead PLL, records that take nothing, or a trial that was passed since.
     fn inferred_choice_reason(&self) -> SlotChoiceReason {
-        let (ours, other) =
-            (self.slot_content(self.running), self.slot_content(self.running.other()));
+        let (ours, other) = (self.slot_info(self.running), self.slot_info(self.running.other()));
         let Some(status) = ours.status else { return SlotChoiceReason::Unknown };
         match status {
             ImageStatus::Trial(starts) | ImageStatus::Announced(starts) => {
@@ -302,27 +300,27 @@ impl FirmwareSlots {
     /// Returns the part of a file that the board is to get.
     ///
     /// # Errors
-    /// [`UnsuitableFirmware`]: the board would refuse it, or never start it.
+    /// [`UnsuitableFirmwareError`]: the board would refuse it, or never start it.
     pub fn select_firmware_for_spare_slot<'f>(
         &self,
         file: &'f FirmwareFile,
-    ) -> Result<&'f SlotFirmware, UnsuitableFirmware> {
+    ) -> Result<&'f SlotFirmware, UnsuitableFirmwareError> {
         let spare = self.running.other();
         let part = file
             .part_for_slot(spare)
-            .ok_or(UnsuitableFirmware::NoPart { running: self.running })?;
+            .ok_or(UnsuitableFirmwareError::NoPart { running: self.running })?;
         let (version, floor) = (file.version(), self.floor);
-        let ours = self.slot_content(self.running);
+        let ours = self.slot_info(self.running);
         if let Some(running) = ours.version.filter(|running| version <= *running) {
-            return Err(UnsuitableFirmware::NotNewer { file: version, running });
+            return Err(UnsuitableFirmwareError::NotNewer { file: version, running });
         }
         if version < floor {
-            return Err(UnsuitableFirmware::BelowFloor { file: version, floor });
+            return Err(UnsuitableFirmwareError::BelowFloor { file: version, floor });
         }
         // One whose status is not known is the board's to refuse.
         let is_confirmed = ours.status.is_none_or(|status| status == ImageStatus::Confirmed);
-        if !is_confirmed && self.slot_content(spare).is_eligible() {
-            return Err(UnsuitableFirmware::OnTrial);
+        if !is_confirmed && self.slot_info(spare).is_eligible() {
+            return Err(UnsuitableFirmwareError::OnTrial);
         }
         Ok(part)
     }
@@ -332,8 +330,8 @@ impl FirmwareSlots {
     pub fn to_json(&self) -> Value {
         json!({
             "running": self.running.name(),
-            "a": self.slot_content(Slot::A).to_json(),
-            "b": self.slot_content(Slot::B).to_json(),
+            "a": self.slot_info(Slot::A).to_json(),
+            "b": self.slot_info(Slot::B).to_json(),
             "oldest_version": self.floor.to_string(),
             "chosen_because": self.choice_reason().to_string(),
             "choice_reported": self.reported.is_some(),
@@ -341,11 +339,11 @@ impl FirmwareSlots {
     }
 }
 
-fn read_slot_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
+fn read_slot_info(session: &mut Session, slot: Slot) -> Result<SlotInfo> {
     let version = sdo_object::read_number(session, *slot.element_of(&SLOT_VERSIONS))?;
     let [status, starts, ..] =
         sdo_object::read_number(session, *slot.element_of(&SLOT_STATUSES))?.to_le_bytes();
-    Ok(SlotContent {
+    Ok(SlotInfo {
         version: (version != 0).then_some(FirmwareVersion(version)),
         status: ImageStatus::decode([status, starts]),
     })
@@ -372,7 +370,7 @@ mod tests {
         other: (Option<FirmwareVersion>, ImageStatus),
     ) -> FirmwareSlots {
         let content =
-            |(version, status): (_, ImageStatus)| SlotContent { version, status: Some(status) };
+            |(version, status): (_, ImageStatus)| SlotInfo { version, status: Some(status) };
         let slots = [content(other), content(ours)];
         FirmwareSlots { running: Slot::B, slots, floor: FirmwareVersion(0), reported: None }
     }
@@ -482,7 +480,7 @@ mod tests {
 
     #[test]
     fn a_slot_is_described_in_words() {
-        let word = |version, status| SlotContent { version, status }.to_string();
+        let word = |version, status| SlotInfo { version, status }.to_string();
         for (version, status, words) in [
             (None, Some(ImageStatus::New), "empty"),
             (None, Some(ImageStatus::Loading), "loading: it has not come whole"),

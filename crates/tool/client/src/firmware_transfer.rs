@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 use trueup_boot::{
     boot_state::ImageStatus, flash_layout::Slot, image_header::HEADER_SIZE,
-    refusal_reason::FirmwareRejectReason,
+    reject_reason::FirmwareRejectReason,
 };
 use trueup_canopen::sdo::{
     AbortCode,
@@ -40,30 +40,30 @@ const RETRY_DELAY: Duration = Duration::from_secs(1);
 
 /// The board refuses the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the board refuses it{}", refusal_text(*.reason))]
-pub struct FirmwareRejected {
+#[error("the board refuses it{}", reject_reason_text(*.reason))]
+pub struct FirmwareRejectedError {
     /// Its reason; `None`: one of a later version.
     pub reason: Option<FirmwareRejectReason>,
 }
 
-fn refusal_text(reason: Option<FirmwareRejectReason>) -> String {
-    match reason.map(|reason| (reason, refusal_remedy(reason))) {
+fn reject_reason_text(reason: Option<FirmwareRejectReason>) -> String {
+    match reason.map(|reason| (reason, reject_reason_remedy(reason))) {
         None => " for a reason that this tool does not know: update the tool".into(),
         Some((reason, "")) => format!(": {reason}"),
         Some((reason, remedy)) => format!(": {reason}. {remedy}"),
     }
 }
 
-impl FirmwareRejected {
+impl FirmwareRejectedError {
     /// Returns whether another file may be taken: the board itself is well.
     #[must_use]
-    pub const fn is_file_defect(&self) -> bool {
+    pub const fn is_board_intact(&self) -> bool {
         !matches!(self.reason, Some(FirmwareRejectReason::Flash | FirmwareRejectReason::NotStored))
     }
 }
 
 /// Returns what to do about a refusal, where its words do not say it.
-const fn refusal_remedy(reason: FirmwareRejectReason) -> &'static str {
+const fn reject_reason_remedy(reason: FirmwareRejectReason) -> &'static str {
     match reason {
         FirmwareRejectReason::Signature => {
             "Take the file of the board's maker; one that is signed with another key needs a new boot program by the probe"
@@ -90,7 +90,7 @@ const fn refusal_remedy(reason: FirmwareRejectReason) -> &'static str {
     "interrupted near byte {received} of {length}: the board keeps what has come, and runs on as before. The same command \
      goes on there; after a restart of the board it begins anew"
 )]
-pub(crate) struct TransferInterrupted {
+pub(crate) struct TransferInterruptedError {
     /// Bytes that the board has acknowledged, the header included; a block of them more or less.
     pub received: u32,
     /// Bytes of the whole.
@@ -117,7 +117,7 @@ pub fn abort_open_transfer(session: &mut Session) -> Result<()> {
 /// error of it ends the update.
 ///
 /// # Errors
-/// [`FirmwareRejected`]; `TransferInterrupted` in front of the reason, where the board has a part; the board may not be written to; the
+/// [`FirmwareRejectedError`]; `TransferInterruptedError` in front of the reason, where the board has a part; the board may not be written to; the
 /// line breaks.
 pub fn store_firmware(
     session: &mut Session,
@@ -127,10 +127,10 @@ pub fn store_firmware(
     let length = firmware.image.header.length;
     let mut reached = 0;
     send_firmware(session, firmware, &mut reached, progress).map_err(|error| {
-        if reached == 0 || error.is::<FirmwareRejected>() {
+        if reached == 0 || error.is::<FirmwareRejectedError>() {
             return error;
         }
-        error.context(TransferInterrupted { received: reached, length })
+        error.context(TransferInterruptedError { received: reached, length })
     })
 }
 
@@ -186,7 +186,7 @@ fn send_firmware(
                 if !is_value && !is_transient_error(&error) {
                     return Err(error);
                 }
-                if let Some(refused) = read_refusal(session, is_under_way || is_value)? {
+                if let Some(refused) = read_rejection(session, is_under_way || is_value)? {
                     return Err(refused.into());
                 }
                 if is_value {
@@ -216,7 +216,7 @@ pub fn restart(session: &mut Session, slot: Slot) -> Result<FirmwareSlots> {
     restart_and_poll_until(
         session,
         |client| FirmwareSlots::read(client)?.context("the board has no firmware slots any more"),
-        |now| now.running == slot || now.slot_content(slot).status == Some(ImageStatus::Rejected),
+        |now| now.running == slot || now.slot_info(slot).status == Some(ImageStatus::Rejected),
     )
 }
 
@@ -234,18 +234,21 @@ fn received_bytes(session: &mut Session, firmware: &SlotFirmware) -> Result<u32>
 fn is_verified(session: &mut Session, firmware: &SlotFirmware) -> Result<bool> {
     let slots =
         FirmwareSlots::read(session)?.context("the board has no firmware slots any more")?;
-    Ok(slots.slot_content(firmware.image.header.slot).status == Some(ImageStatus::Verified))
+    Ok(slots.slot_info(firmware.image.header.slot).status == Some(ImageStatus::Verified))
 }
 
 /// Returns the refusal of the firmware under way. An earlier one stays readable until a header is accepted, so none
 /// counts before.
-fn read_refusal(session: &mut Session, is_under_way: bool) -> Result<Option<FirmwareRejected>> {
+fn read_rejection(
+    session: &mut Session,
+    is_under_way: bool,
+) -> Result<Option<FirmwareRejectedError>> {
     if !is_under_way {
         return Ok(None);
     }
     let number = sdo_object::read_number(session, FIRMWARE_REJECT_REASON)?;
     let reason = u8::try_from(number).ok().and_then(FirmwareRejectReason::from_number);
-    Ok((number != 0).then_some(FirmwareRejected { reason }))
+    Ok((number != 0).then_some(FirmwareRejectedError { reason }))
 }
 
 /// Returns whether the same may be taken a moment later: a frame was lost, or the board is at a step.
@@ -266,17 +269,17 @@ mod tests {
     #[test]
     fn every_refusal_says_why_and_what_to_do() {
         for reason in FirmwareRejectReason::ALL {
-            let refused = FirmwareRejected { reason: Some(reason) };
+            let refused = FirmwareRejectedError { reason: Some(reason) };
             let text = refused.to_string();
             assert!(text.starts_with("the board refuses it: "), "{text}");
             // In its own words, or behind them.
             let has_remedy = text.contains(". ") || reason.to_string().contains(':');
             assert!(has_remedy, "{text}");
             assert_eq!(
-                refused.is_file_defect(),
+                refused.is_board_intact(),
                 !matches!(reason, FirmwareRejectReason::Flash | FirmwareRejectReason::NotStored)
             );
         }
-        assert!(FirmwareRejected { reason: None }.to_string().contains("update the tool"));
+        assert!(FirmwareRejectedError { reason: None }.to_string().contains("update the tool"));
     }
 }

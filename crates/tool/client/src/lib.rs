@@ -34,7 +34,7 @@
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!
 //! A failure outside the user's reach is an [`anyhow::Error`], a sentence with its causes; one that
-//! the user has to mend is in there as [`UnusableInput`], or as [`trueup_machine::InputFileError`].
+//! the user has to mend is in there as [`UnusableInputError`], or as [`trueup_machine::InputFileError`].
 
 #![forbid(unsafe_code)]
 
@@ -75,7 +75,7 @@ const PORT_FORMATS: &str =
 
 /// An input that the user has to change: a port, or the place of a recording.
 #[derive(Debug, thiserror::Error)]
-pub enum UnusableInput {
+pub enum UnusableInputError {
     /// `--port` has none of the forms of a port.
     #[error("--port \"{text}\": {PORT_FORMATS}")]
     NoPort {

@@ -12,7 +12,7 @@ use std::{
 use socket2::SockRef;
 
 use crate::{
-    UnusableInput,
+    UnusableInputError,
     duplex_stream::{DuplexStream, READ_TIMEOUT},
 };
 
@@ -37,7 +37,7 @@ impl PortAddress {
     ///
     /// # Errors
     /// It has none of the forms of a port, or is one that this build cannot open.
-    pub fn parse(text: &str) -> Result<Self, UnusableInput> {
+    pub fn parse(text: &str) -> Result<Self, UnusableInputError> {
         if let Some(address) = text.strip_prefix("tcp:") {
             let is_right = address.rsplit_once(':').is_some_and(|(host, number)| {
                 !host.is_empty() && number.parse::<u16>().is_ok_and(|number| number != 0)
@@ -45,19 +45,19 @@ impl PortAddress {
             return if is_right {
                 Ok(Self::Tcp(address.into()))
             } else {
-                Err(UnusableInput::NoAddress { text: text.into() })
+                Err(UnusableInputError::NoAddress { text: text.into() })
             };
         }
         if is_numbered_device(text, &["can", "vcan", "slcan"]) {
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
             return Ok(Self::Can(text.into()));
             #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-            return Err(UnusableInput::NoSocketCan { interface: text.into() });
+            return Err(UnusableInputError::NoSocketCan { interface: text.into() });
         }
         if text.contains(['/', '\\']) || is_numbered_device(text, &["COM"]) {
             return Ok(Self::Serial(text.into()));
         }
-        Err(UnusableInput::NoPort { text: text.into() })
+        Err(UnusableInputError::NoPort { text: text.into() })
     }
 
     /// Returns what a log of frames calls it: a line of SLCAN as `slcand` would name its interface.

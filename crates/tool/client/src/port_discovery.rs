@@ -10,7 +10,7 @@ const TTY_CLASS_PATH: &str = "/sys/class/tty";
 
 /// A port that is here.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FoundPort {
+pub struct PortInfo {
     /// As `--port` takes it.
     pub name: String,
     /// The system's description of it; empty: none.
@@ -21,7 +21,7 @@ pub struct FoundPort {
 
 /// Returns the serial devices and CAN interfaces of this computer. None is opened for longer than a moment.
 #[must_use]
-pub fn list_ports() -> Vec<FoundPort> {
+pub fn list_ports() -> Vec<PortInfo> {
     // Without `/sys`, as in a container or a bare root, the crate would panic.
     let can_look = !cfg!(target_os = "linux") || Path::new(TTY_CLASS_PATH).is_dir();
     let found = can_look.then(|| serialport::available_ports().unwrap_or_default());
@@ -33,17 +33,17 @@ pub fn list_ports() -> Vec<FoundPort> {
             }
             _ => String::new(),
         };
-        let obstacle = access_error(Path::new(&port.port_name));
-        FoundPort { name: port.port_name, what, obstacle }
+        let obstacle = find_access_obstacle(Path::new(&port.port_name));
+        PortInfo { name: port.port_name, what, obstacle }
     });
-    let mut ports: Vec<FoundPort> = serial.collect();
+    let mut ports: Vec<PortInfo> = serial.collect();
     ports.extend(list_can_interfaces(Path::new("/sys/class/net")));
     ports.sort_by(|a, b| a.name.cmp(&b.name));
     ports
 }
 
 /// Why a device cannot be opened by this user.
-fn access_error(device: &Path) -> Option<String> {
+fn find_access_obstacle(device: &Path) -> Option<String> {
     let error = fs::OpenOptions::new().read(true).write(true).open(device).err()?;
     Some(match error.kind() {
         std::io::ErrorKind::PermissionDenied => {
@@ -54,7 +54,7 @@ fn access_error(device: &Path) -> Option<String> {
 }
 
 /// Returns the CAN interfaces in a folder like `/sys/class/net`.
-fn list_can_interfaces(folder: &Path) -> Vec<FoundPort> {
+fn list_can_interfaces(folder: &Path) -> Vec<PortInfo> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let read = |path: &Path, name: &str| fs::read_to_string(path.join(name)).unwrap_or_default();
     let interfaces = entries.flatten().filter_map(|entry| {
@@ -63,7 +63,7 @@ fn list_can_interfaces(folder: &Path) -> Vec<FoundPort> {
             let is_up = read(&path, "operstate").trim() != "down";
             let name = entry.file_name().to_string_lossy().into_owned();
             let up = format!("it is down: sudo ip link set {name} up type can bitrate 1000000");
-            FoundPort { name, what: "CAN".into(), obstacle: (!is_up).then_some(up) }
+            PortInfo { name, what: "CAN".into(), obstacle: (!is_up).then_some(up) }
         })
     });
     interfaces.collect()
@@ -99,8 +99,8 @@ mod tests {
 
     #[test]
     fn a_device_that_may_not_be_opened_has_an_obstacle() {
-        assert!(access_error(Path::new("/no/such/device")).is_some());
+        assert!(find_access_obstacle(Path::new("/no/such/device")).is_some());
         let file = tempfile::NamedTempFile::new().expect("a file");
-        assert_eq!(access_error(file.path()), None);
+        assert_eq!(find_access_obstacle(file.path()), None);
     }
 }

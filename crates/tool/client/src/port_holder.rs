@@ -29,7 +29,7 @@ pub fn port_holder(port: &PortAddress) -> Option<String> {
                 .port();
             let tables = ["/proc/net/tcp", "/proc/net/tcp6"];
             let tables = tables.iter().filter_map(|path| fs::read_to_string(path).ok());
-            tables.flat_map(|table| client_sockets(&table, server)).collect()
+            tables.flat_map(|table| find_client_sockets(&table, server)).collect()
         }
         #[cfg(all(feature = "socketcan", target_os = "linux"))]
         PortAddress::Can(_) => return None,
@@ -66,7 +66,7 @@ fn has_open_file(process: u32, targets: &[PathBuf]) -> bool {
 
 /// Returns the sockets of the clients of a server, as the files of a process are called, in a table like
 /// `/proc/net/tcp`.
-fn client_sockets(table: &str, server: u16) -> Vec<PathBuf> {
+fn find_client_sockets(table: &str, server: u16) -> Vec<PathBuf> {
     let port_of = |address: &str| u16::from_str_radix(address.rsplit_once(':')?.1, 16).ok();
     let sockets = table.lines().skip(1).filter_map(|line| {
         let mut fields = line.split_whitespace().skip(2);
@@ -89,8 +89,8 @@ mod tests {
             1: 0100007F:B0F6 0100007F:0D05 01 00000000:00000000 00:00000000 00000000     0        0 222 1 0\n   \
             2: 0100007F:0D05 0100007F:B0F6 01 00000000:00000000 00:00000000 00000000     0        0 333 1 0\n   \
             3: 0100007F:B0F8 0100007F:0D05 06 00000000:00000000 00:00000000 00000000     0        0 0 1 0\n";
-        assert_eq!(client_sockets(table, 3333), [Path::new("socket:[222]")]);
-        assert!(client_sockets(table, 3334).is_empty());
+        assert_eq!(find_client_sockets(table, 3333), [Path::new("socket:[222]")]);
+        assert!(find_client_sockets(table, 3334).is_empty());
     }
 
     #[cfg(target_os = "linux")]

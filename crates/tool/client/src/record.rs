@@ -41,7 +41,7 @@ use trueup_machine::{
 
 use self::output_file::RecordingFile;
 use crate::{
-    UnusableInput,
+    UnusableInputError,
     cnc::{self, CncState},
     state_text::offset_um,
     status::BoardStatus,
@@ -91,7 +91,7 @@ impl Recorder {
     /// measures a quantity has its column.
     ///
     /// # Errors
-    /// [`UnusableInput`]: they cannot be made here; [`trueup_machine::InputFileError`]: the machine file. A disk
+    /// [`UnusableInputError`]: they cannot be made here; [`trueup_machine::InputFileError`]: the machine file. A disk
     /// that is full.
     pub fn create(
         path: &Path,
@@ -109,7 +109,7 @@ impl Recorder {
             path.with_extension("log")
         } else {
             fs::create_dir_all(path)
-                .map_err(|error| UnusableInput::Folder { path: path.into(), error })?;
+                .map_err(|error| UnusableInputError::Folder { path: path.into(), error })?;
             path.join("bridge.log")
         };
         let run = log.with_extension("csv");
@@ -162,7 +162,7 @@ impl Recorder {
 
     /// Returns how many readings of the gauge stand in the recording.
     #[must_use]
-    pub fn reading_count(&self) -> usize {
+    pub fn gauge_reading_count(&self) -> usize {
         self.marks.len() + usize::from(self.marked_um.is_some())
     }
 
@@ -178,7 +178,7 @@ impl Recorder {
     /// A file cannot be written.
     pub fn receive(&mut self, frame: &Frame, at: SystemTime) -> Result<()> {
         self.frames += 1;
-        self.log.write_line(&candump_line(&self.interface, frame, at))?;
+        self.log.write_line(&format_candump_line(&self.interface, frame, at))?;
         self.board.receive(frame);
         if frame.id() == OFFSET_XY_ID {
             self.clock.update(e2e_counter(frame), at);
@@ -244,7 +244,7 @@ impl Recorder {
             let centi_c = self.board.centi_c.get(usize::from(*channel)).copied().flatten();
             format_cell(centi_c.map(|centi_c| f64::from(centi_c) / 100.0), 2)
         }));
-        cells.extend(self.cnc.cells(self.clock.ms));
+        cells.extend(self.cnc.row_cells(self.clock.ms));
         let conditions = self.cnc.conditions(self.clock.ms);
         let cell = |value: Option<u16>| value.map(|value| value.to_string()).unwrap_or_default();
         cells.push(cell(conditions.map(|conditions| conditions.tool)));
@@ -342,7 +342,7 @@ impl BridgeClock {
     }
 }
 
-fn candump_line(interface: &str, frame: &Frame, at: SystemTime) -> String {
+fn format_candump_line(interface: &str, frame: &Frame, at: SystemTime) -> String {
     let at = at.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
     let data: String = frame.payload().iter().map(|byte| format!("{byte:02X}")).collect();
     let (seconds, micros) = (at.as_secs(), at.subsec_micros());

@@ -14,10 +14,10 @@ pub use trueup_canopen::dictionary::{NOT_AVAILABLE, ObjectAddress, TASK_NAMES};
 use trueup_canopen::emergency::Faults;
 use trueup_canopen::sdo::AbortCode;
 use trueup_canopen::sdo::client::{
-    BlockDownload, Download, MAX_UPLOAD_BYTES, SdoClientError, TransferProgress, Upload,
+    BlockDownload, DEFAULT_MAX_UPLOAD_BYTES, Download, SdoClientError, TransferProgress, Upload,
     timeout_abort_frame,
 };
-use trueup_core::learned::LEARNED_PART_COUNT;
+use trueup_core::learned_changes::LEARNED_PART_COUNT;
 use trueup_link::{frame::Frame, frames, slcan::AdapterMessage};
 use trueup_output::escape::escape_line;
 
@@ -51,13 +51,13 @@ const FAULTS: [ObjectAddress; 2] =
     [find_address(EntryContent::AllFaults), find_address(EntryContent::HighFaults)];
 /// How many values the state has, and how many since the commit comes behind the faults from 32 on: a firmware up to
 /// 0.2.0 has its commit in their place.
-const STATE_VALUE_COUNT: (ObjectAddress, u32) = ((COMMIT.0, 0), COMMIT.1 as u32);
+const HIGH_FAULTS_STATE_COUNT: (ObjectAddress, u32) = ((COMMIT.0, 0), COMMIT.1 as u32);
 /// The state that a CNC must know next to the offsets, a bit each.
 pub const STATE_BITS: ObjectAddress = find_address(EntryContent::StateBits);
 /// Why the board last started.
 pub const RESET_REASON: ObjectAddress = find_address(EntryContent::ResetReason);
 /// Where the last start stopped: program counter, link register, CFSR, address, and a panic's line.
-pub const CRASH_REGISTERS: [ObjectAddress; 5] = [
+pub const CRASH_DETAILS: [ObjectAddress; 5] = [
     find_address(EntryContent::CrashDetail(CrashDetail::ProgramCounter)),
     find_address(EntryContent::CrashDetail(CrashDetail::LinkRegister)),
     find_address(EntryContent::CrashDetail(CrashDetail::FaultStatus)),
@@ -145,7 +145,7 @@ pub(crate) const FIRMWARE_BYTES_RECEIVED: ObjectAddress =
     find_address(EntryContent::FirmwareReceived);
 /// Tag of the firmware under way.
 pub(crate) const FIRMWARE_TAG: ObjectAddress = find_address(EntryContent::FirmwareTag);
-/// Why the last one was refused: a number of [`FirmwareRejectReason`](trueup_boot::refusal_reason::FirmwareRejectReason), 0: it was not.
+/// Why the last one was refused: a number of [`FirmwareRejectReason`](trueup_boot::reject_reason::FirmwareRejectReason), 0: it was not.
 pub(crate) const FIRMWARE_REJECT_REASON: ObjectAddress =
     find_address(EntryContent::FirmwareRefused);
 /// The firmware slot that runs: 0 A, 1 B.
@@ -164,12 +164,12 @@ pub(crate) const SLOT_CHOICE: ObjectAddress = find_address(EntryContent::SlotCho
 /// No answer has come, and for how long it was waited for.
 #[derive(Debug, thiserror::Error)]
 #[error("object {:04X}:{}: no answer in {:.0} s", .0.0, .0.1, .1.as_secs_f64())]
-struct ResponseTimeout(ObjectAddress, Duration);
+struct ResponseTimeoutError(ObjectAddress, Duration);
 
 /// An object comes more slowly than any bridge sends; after this many bytes.
 #[derive(Debug, thiserror::Error)]
 #[error("object {:04X}:{}: {} bytes have come, too slowly; is it a bridge?", .0.0, .0.1, .1)]
-struct TransferTooSlow(ObjectAddress, u32);
+struct TransferTooSlowError(ObjectAddress, u32);
 
 /// The most bytes of a text: names and versions have at most 64.
 const MAX_TEXT_BYTES: u32 = 256;
@@ -181,7 +181,7 @@ const TRANSFER_TIMEOUT_PER_BYTE: Duration = Duration::from_millis(50);
 /// Reads an object. `progress` receives how many bytes have come, and of how many.
 ///
 /// A frame may be lost on the line, and reading changes nothing: it is tried twice. No object is read beyond
-/// [`MAX_UPLOAD_BYTES`] bytes, nor slower than a bridge can be.
+/// [`DEFAULT_MAX_UPLOAD_BYTES`] bytes, nor slower than a bridge can be.
 ///
 /// # Errors
 /// The bridge refuses or does not answer, or the line is broken.
@@ -190,7 +190,7 @@ pub fn read(
     at: ObjectAddress,
     progress: impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
-    read_with_size_limit(session, at, MAX_UPLOAD_BYTES, progress)
+    read_with_size_limit(session, at, DEFAULT_MAX_UPLOAD_BYTES, progress)
 }
 
 fn read_with_size_limit(
@@ -211,7 +211,7 @@ fn read_with_size_limit(
 }
 
 fn is_transfer_left_open(error: &anyhow::Error) -> bool {
-    error.is::<TransferTooSlow>()
+    error.is::<TransferTooSlowError>()
         || matches!(
             error.downcast_ref(),
             Some(SdoClientError::TooLong { .. } | SdoClientError::TooShort { .. })
@@ -220,7 +220,7 @@ fn is_transfer_left_open(error: &anyhow::Error) -> bool {
 
 /// Returns whether a frame may be lost, so that the same may be answered when it is asked for again.
 pub(crate) fn is_transmission_error(error: &anyhow::Error) -> bool {
-    error.is::<ResponseTimeout>()
+    error.is::<ResponseTimeoutError>()
         || error.downcast_ref::<SdoClientError>().is_some_and(SdoClientError::is_transmission_error)
 }
 
@@ -237,7 +237,7 @@ fn read_once(
         let next = upload.receive(frame, &mut bytes)?;
         let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
         if start.elapsed() > TRANSFER_BASE_TIMEOUT + TRANSFER_TIMEOUT_PER_BYTE * count {
-            return Err(TransferTooSlow(at, count).into());
+            return Err(TransferTooSlowError(at, count).into());
         }
         progress(bytes.len(), upload.indicated_size());
         Ok((next, Vec::new()))
@@ -265,7 +265,7 @@ pub fn read_number(session: &mut Session, at: ObjectAddress) -> Result<u32> {
 /// As [`read_number`].
 pub fn read_faults(session: &mut Session) -> Result<Faults> {
     let [low, high] = FAULTS;
-    let (values, with_high) = STATE_VALUE_COUNT;
+    let (values, with_high) = HIGH_FAULTS_STATE_COUNT;
     let has_high = read_number(session, values)? >= with_high;
     let high = if has_high { read_number(session, high)? } else { 0 };
     Ok(Faults::from_words(read_number(session, low)?, high))
@@ -358,7 +358,7 @@ fn transfer(
             frame.map_or(Ok((TransferProgress::Unchanged, Vec::new())), &mut receive)?;
         match next {
             TransferProgress::Unchanged if timeout.is_expired() => {
-                return Err(ResponseTimeout(at, timeout.listening_time()).into());
+                return Err(ResponseTimeoutError(at, timeout.listening_time()).into());
             }
             TransferProgress::Unchanged => {}
             TransferProgress::Request(request) => {

@@ -34,7 +34,7 @@ const SERVICE_PERIOD: Duration = Duration::from_millis(100);
 const OPEN_COMMAND_COUNT: usize = 5;
 /// An adapter that answers in a way of its own has opened its channel if frames still come so long after it was asked:
 /// what an earlier client was being sent has come by then.
-const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+const DRAIN_TIME: Duration = Duration::from_secs(1);
 /// Between lines that are sent one by one, to an adapter that reads only the first line of a packet.
 const INTER_COMMAND_DELAY: Duration = Duration::from_millis(30);
 
@@ -136,19 +136,19 @@ impl Session {
             let look = if is_one_by_one {
                 start + timeout
             } else {
-                start + (DRAIN_TIMEOUT + OPEN_ATTEMPT_TIMEOUT).min(timeout)
+                start + (DRAIN_TIME + OPEN_ATTEMPT_TIMEOUT).min(timeout)
             };
             match self.next_event(look)? {
                 Some(AdapterMessage::Accepted) => (answers, is_refused) = (answers + 1, false),
                 Some(AdapterMessage::Rejected) => (answers, is_refused) = (answers + 1, true),
-                Some(AdapterMessage::Frame(_)) if start.elapsed() >= DRAIN_TIMEOUT => return Ok(()),
+                Some(AdapterMessage::Frame(_)) if start.elapsed() >= DRAIN_TIME => return Ok(()),
                 // What an earlier client was still being sent.
                 Some(
                     AdapterMessage::Frame(_)
                     | AdapterMessage::Malformed(_)
                     | AdapterMessage::Other(_),
                 ) => {}
-                None if !is_one_by_one && timeout > DRAIN_TIMEOUT => {
+                None if !is_one_by_one && timeout > DRAIN_TIME => {
                     is_one_by_one = true;
                     if answers < OPEN_COMMAND_COUNT {
                         self.send_open_commands()?;

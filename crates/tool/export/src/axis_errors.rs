@@ -9,7 +9,7 @@ use std::borrow::Cow;
 
 use trueup_machine::{
     Machine,
-    effect::{BoardTerm, Effect, Input, PredictionStage},
+    effect::{BoardTerm, Effect, LawInput, PredictionStage},
     machine_file::{BSpline, Backlash, LinearAxis, PitchErrorTable, Squareness, Term},
     model::{backlash_um, pitch_error_um, spline_value_um, squareness_error_um},
 };
@@ -78,7 +78,7 @@ impl DriveErrorModel<'_> {
             return 0.0;
         }
         let terms = self.terms.iter().map(|(_, term)| {
-            let is_constant = term.effect.required_inputs() == [Input::OwnDirection];
+            let is_constant = term.effect.required_inputs() == [LawInput::OwnDirection];
             if is_constant {
                 own_axis_effect_um(&term.effect, 0.0, ApproachDirection::Negative)
             } else {
@@ -161,9 +161,9 @@ fn term_name(index: usize, term: &Term) -> String {
 
 /// Returns what a term adds along its own axis, in µm.
 fn own_axis_effect_um(effect: &Effect, position_mm: f64, approach: ApproachDirection) -> f64 {
-    let read = |input: &Input<'_>| match input {
-        Input::OwnPosition => position_mm,
-        Input::OwnDirection => approach.sign(),
+    let read = |input: &LawInput<'_>| match input {
+        LawInput::OwnPosition => position_mm,
+        LawInput::OwnDirection => approach.sign(),
         _ => f64::NAN,
     };
     let x: Vec<f64> = effect.required_inputs().iter().map(read).collect();
@@ -173,12 +173,12 @@ fn own_axis_effect_um(effect: &Effect, position_mm: f64, approach: ApproachDirec
 /// Returns whether it is another function of the position in either direction.
 fn is_bidirectional(effect: &Effect) -> bool {
     let reads = effect.required_inputs();
-    reads.contains(&Input::OwnPosition) && reads.contains(&Input::OwnDirection)
+    reads.contains(&LawInput::OwnPosition) && reads.contains(&LawInput::OwnDirection)
 }
 
 /// Returns whether a term goes on and on along its axis, so that a table needs the travel.
 fn needs_travel(effect: &Effect) -> bool {
-    effect.required_inputs().contains(&Input::OwnPosition) && effect.pitch_table().is_none()
+    effect.required_inputs().contains(&LawInput::OwnPosition) && effect.pitch_table().is_none()
 }
 
 /// Returns the terms that no table of a control holds, each with the reason. The constants that a term
@@ -223,7 +223,7 @@ pub(crate) fn unsupported_terms(
 /// Returns the column that a term depends on where it is none of the model's own: the tool, or a condition.
 fn input_column(effect: &Effect) -> Option<&str> {
     effect.required_inputs().into_iter().find_map(|input| match input {
-        Input::Column(column) | Input::Lagged { column, .. } => Some(column),
+        LawInput::Column(column) | LawInput::Lagged { column, .. } => Some(column),
         _ => None,
     })
 }
@@ -255,13 +255,14 @@ pub(crate) fn unsupported_volume_terms(
 /// Returns whether it adds a function of two positions and of nothing else.
 fn has_two_position_inputs(effect: &Effect) -> bool {
     let reads = effect.required_inputs();
-    let is_position = |input: &Input<'_>| matches!(input, Input::Position(_) | Input::OwnPosition);
+    let is_position =
+        |input: &LawInput<'_>| matches!(input, LawInput::Position(_) | LawInput::OwnPosition);
     reads.len() == 2 && reads.iter().all(is_position)
 }
 
 /// Returns whether it adds a function of another axis's position alone.
 fn is_cross_axis(effect: &Effect) -> bool {
-    matches!(effect.required_inputs()[..], [Input::Position(_)])
+    matches!(effect.required_inputs()[..], [LawInput::Position(_)])
 }
 
 /// The error of one axis while another moves.

@@ -47,7 +47,7 @@ pub use series0::parse_series_0_sheet;
 use crate::{
     ExportOptions, ExportResult, ExportedFile, ExportedTable,
     axis_errors::{CrossAxisError, DriveErrorModel, collect_drive_errors},
-    linuxcnc::omit_thermal_terms,
+    linuxcnc::report_omitted_thermal_terms,
     number_format::format_number,
     report::ApproachDirection,
     table_points::{comparison_positions_mm, find_largest_residual},
@@ -72,7 +72,7 @@ const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
 /// Spacings are whole multiples of this, in mm (increment system IS-B).
 const SPACING_INCREMENT_MM: f64 = 0.001;
 /// A moving axis without a pitch table gets this many sections for its straightness.
-const DEFAULT_SECTION_COUNT: usize = 60;
+const DEFAULT_INTERVAL_COUNT: usize = 60;
 
 /// Where an axis's points are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,13 +97,13 @@ impl CompensationPoints {
         }
     }
 
-    fn section_count(&self) -> usize {
+    fn interval_count(&self) -> usize {
         self.negative + self.positive
     }
 
     /// Returns the ends of all sections, one more than there are sections.
     fn positions_mm(&self) -> Vec<f64> {
-        (0..=self.section_count())
+        (0..=self.interval_count())
             .map(|k| self.reference_mm + self.spacing_mm * (k as f64 - self.negative as f64))
             .collect()
     }
@@ -127,8 +127,10 @@ struct AxisCompensation<'m> {
 
 pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut ExportResult) {
     let chosen = match options.fanuc {
-        FanucSeries::I => straightness::select_pairs(machine, options, &mut export.report),
-        FanucSeries::Zero => series0::omit_straightness(machine, &mut export.report),
+        FanucSeries::I => {
+            straightness::select_cross_axis_errors(machine, options, &mut export.report)
+        }
+        FanucSeries::Zero => series0::report_omitted_straightness(machine, &mut export.report),
     };
     let all_drives = collect_drive_errors(machine, options);
     for drive in all_drives.iter().filter(|drive| drive.is_constant()) {
@@ -166,12 +168,12 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     }
     match options.fanuc {
         _ if planned.is_empty() => {}
-        FanucSeries::I => write_files(&planned, options, export),
-        FanucSeries::Zero => series0::write_sheet(planned, options, export),
+        FanucSeries::I => add_files(&planned, options, export),
+        FanucSeries::Zero => series0::add_parameter_sheet(planned, options, export),
     }
     let reason = "the growth is given to the control by its PMC at run time, not by a table. It \
         is one scalar along the tool, in small steps; a jump of 9999 units is an alarm";
-    omit_thermal_terms(machine, &mut export.report, reason);
+    report_omitted_thermal_terms(machine, &mut export.report, reason);
 }
 
 fn plan_axis<'m>(
@@ -193,8 +195,8 @@ fn plan_axis<'m>(
     let range_mm = (first_mm.min(reference_mm), last_mm.max(reference_mm));
     let is_bidirectional = drive.as_ref().is_some_and(DriveErrorModel::is_bidirectional);
     let fits = |points: &CompensationPoints| {
-        points.section_count() * if is_bidirectional { 2 } else { 1 } < MAX_POINTS_PER_AXIS
-            && (cross_axis_errors.is_empty() || points.section_count() >= 3)
+        points.interval_count() * if is_bidirectional { 2 } else { 1 } < MAX_POINTS_PER_AXIS
+            && (cross_axis_errors.is_empty() || points.interval_count() >= 3)
     };
     let rounded = |mm: f64| {
         ((mm / SPACING_INCREMENT_MM).round() * SPACING_INCREMENT_MM).max(SPACING_INCREMENT_MM)
@@ -202,7 +204,7 @@ fn plan_axis<'m>(
     let target_mm = drive
         .as_ref()
         .and_then(|drive| drive.single_table().map(|pitch| pitch.step_mm))
-        .unwrap_or((range_mm.1 - range_mm.0) / DEFAULT_SECTION_COUNT as f64);
+        .unwrap_or((range_mm.1 - range_mm.0) / DEFAULT_INTERVAL_COUNT as f64);
     let at = |spacing_mm: f64| {
         CompensationPoints::from_range(range_mm, reference_mm, rounded(spacing_mm))
     };
@@ -245,7 +247,7 @@ impl AxisCompensation<'_> {
     /// Rounds the sums and takes their differences; `false` if one of them is above 7.
     fn compute_tables(&mut self, options: &ExportOptions) -> bool {
         let Some(drive) = self.drive.as_ref().filter(|drive| drive.is_position_dependent()) else {
-            self.tables = vec![vec![0; self.points.section_count()]];
+            self.tables = vec![vec![0; self.points.interval_count()]];
             return true;
         };
         let scale = f64::from(self.magnification);
@@ -277,11 +279,7 @@ impl AxisCompensation<'_> {
     }
 }
 
-fn write_files(
-    planned: &[AxisCompensation<'_>],
-    options: &ExportOptions,
-    export: &mut ExportResult,
-) {
+fn add_files(planned: &[AxisCompensation<'_>], options: &ExportOptions, export: &mut ExportResult) {
     // Parameter number → axis number → value.
     let mut parameters: Vec<(u32, usize, i64)> = Vec::new();
     let mut pitch = String::from("%\n");
@@ -295,7 +293,7 @@ fn write_files(
         let axis = number_of(plan);
         let base = (order * MAX_POINTS_PER_AXIS) as i64;
         let (negative, sections) =
-            (plan.points.negative as i64, plan.points.section_count() as i64);
+            (plan.points.negative as i64, plan.points.interval_count() as i64);
         let reference = base + negative;
         let first = reference - negative + 1;
         let last = reference + plan.points.positive as i64;
@@ -319,7 +317,7 @@ fn write_files(
         }
     }
     pitch.push_str("%\n");
-    let pairs = straightness::plan_pairs(planned, options, number_of, &mut export.report);
+    let pairs = straightness::plan_axis_pairs(planned, options, number_of, &mut export.report);
     let text = format_parameters(&parameters, &pairs);
     let (para, pitch) =
         ("CNC-PARA.TXT".to_string(), ExportedFile { name: "PITCH.TXT".into(), text: pitch });
@@ -385,7 +383,7 @@ fn compare(
 ) {
     let Some(drive) = &plan.drive else { return };
     match control.axis_tables(axis) {
-        Ok(back) => compare_axis(plan, drive, &back, (axis, "PITCH.TXT"), options, export),
+        Ok(back) => compare_axis_tables(plan, drive, &back, (axis, "PITCH.TXT"), options, export),
         Err(rule) => {
             export.report.add_omitted_section(
                 drive.source_sections(),
@@ -395,7 +393,7 @@ fn compare(
     }
 }
 
-fn compare_axis(
+fn compare_axis_tables(
     plan: &AxisCompensation<'_>,
     drive: &DriveErrorModel<'_>,
     back: &AxisTables,
@@ -424,7 +422,7 @@ fn compare_axis(
         interpolated.um,
         interpolated.at
     ));
-    let count = plan.points.section_count();
+    let count = plan.points.interval_count();
     // Half a unit is rounded away in each sum, and a step of one unit comes half of it too early and half
     // too late: what is further off is no rounding.
     let is_off = stepped.um > options.tolerance_um + options.unit_um;

@@ -25,7 +25,7 @@ use crate::{
     axis_errors::{
         CrossAxisError, DriveErrorModel, collect_cross_axis_errors, collect_drive_errors,
     },
-    linuxcnc::omit_thermal_terms,
+    linuxcnc::report_omitted_thermal_terms,
     number_format::format_signed,
     report::{ApproachDirection, LargestDifference},
     table_points::{
@@ -149,7 +149,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         export_moving_axis(machine, options, of, export);
     }
     let reason = "a thermal offset is given to the control by its PLC at run time, not by a table";
-    omit_thermal_terms(machine, &mut export.report, reason);
+    report_omitted_thermal_terms(machine, &mut export.report, reason);
     if export.files.is_empty() {
         return;
     }

@@ -27,7 +27,7 @@ use crate::{
     axis_errors::{
         CrossAxisError, DriveErrorModel, collect_cross_axis_errors, collect_drive_errors, travel_mm,
     },
-    linuxcnc::omit_thermal_terms,
+    linuxcnc::report_omitted_thermal_terms,
     number_format::format_number,
     report::{ApproachDirection, LargestDifference},
     table_points::{interpolate_linear, select_breakpoints},
@@ -209,7 +209,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
             );
             continue;
         };
-        omit_direction_dependent_terms(&component, export);
+        report_omitted_direction(&component, export);
         blocks += 1;
         add_error_table(&component, &section, range, &mut text, export);
     }
@@ -220,7 +220,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         );
     }
     let lines = add_tool_tip_and_rotary_axis_lines(machine, chain, &mut text, export);
-    omit_thermal_terms(
+    report_omitted_thermal_terms(
         machine,
         &mut export.report,
         "a volumetric compensation has no temperature; the bridge has",
@@ -261,7 +261,7 @@ fn axis_travel_mm(
     known.or_else(|| reached.reduce(|(a, b), (c, d)| (a.min(c), b.max(d))))
 }
 
-fn omit_direction_dependent_terms(component: &ComponentErrors<'_>, export: &mut ExportResult) {
+fn report_omitted_direction(component: &ComponentErrors<'_>, export: &mut ExportResult) {
     let Some(drive) = component.drive else { return };
     if drive.is_bidirectional() || drive.backlash_um() != 0.0 {
         let what = format!("the direction of {}", drive.source_sections());

@@ -201,7 +201,7 @@ pub fn export(
     let (machine, _) = apply_constant_terms(Cow::Borrowed(machine));
     let mut machine = machine.into_owned();
     // A table of a control goes by position and direction, not by feed.
-    machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed());
+    machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed_dependence());
     let machine = &machine;
     let mut export = ExportResult {
         files: Vec::new(),

@@ -83,7 +83,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     for drive in collect_drive_errors(machine, options) {
         export_drive(&drive, options, export);
     }
-    omit_unsupported_sections(machine, &mut export.report);
+    report_unsupported_sections(machine, &mut export.report);
     if !export.files.is_empty() {
         export.report.add_note(
             "set COMP_FILE and COMP_FILE_TYPE = 1 in [JOINT_n], and remove BACKLASH there: the \
@@ -174,13 +174,13 @@ fn export_drive(drive: &DriveErrorModel<'_>, options: &ExportOptions, export: &m
     export.files.push(ExportedFile { name, text });
 }
 
-fn omit_unsupported_sections(machine: &Machine, report: &mut ExportReport) {
+fn report_unsupported_sections(machine: &Machine, report: &mut ExportReport) {
     for cross in collect_cross_axis_errors(machine) {
         let reason =
             "LinuxCNC's tables correct a joint by its own position only; the bridge corrects this";
         report.add_omitted_section(cross.source_sections(), reason);
     }
-    omit_thermal_terms(
+    report_omitted_thermal_terms(
         machine,
         report,
         "LinuxCNC has no compensation by temperature; the bridge has",
@@ -188,7 +188,11 @@ fn omit_unsupported_sections(machine: &Machine, report: &mut ExportReport) {
 }
 
 /// The parts of the model that change while the machine runs, for controls with nothing for them.
-pub(crate) fn omit_thermal_terms(machine: &Machine, report: &mut ExportReport, reason: &str) {
+pub(crate) fn report_omitted_thermal_terms(
+    machine: &Machine,
+    report: &mut ExportReport,
+    reason: &str,
+) {
     for axis in LinearAxis::ALL {
         if machine.axes[axis.index()].thermal.is_some() {
             report.add_omitted_section(format!("axis.{}.thermal", axis.name()), reason);

@@ -92,12 +92,12 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
             ));
             continue;
         }
-        planned.push(write_drive_table(machine, options, &drive, &mut files));
+        planned.push(add_drive_table(machine, options, &drive, &mut files));
     }
     for cross in
         collect_cross_axis_errors(machine).iter().flat_map(CrossAxisError::split_into_terms)
     {
-        match write_cross_axis_table(machine, options, &cross, &mut files) {
+        match add_cross_axis_table(machine, options, &cross, &mut files) {
             Some(plan) => planned.push(plan),
             None => {
                 let along = cross.along.name();
@@ -107,7 +107,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         }
     }
     let has_tables = !planned.is_empty();
-    write_files(options, files, export);
+    add_files(options, files, export);
     let read = |name: &str, export: &ExportResult| {
         let file = export.files.iter().find(|file| file.name == name);
         file.map_or_else(|| Ok(IniVariables::default()), |file| IniVariables::parse(&file.text))
@@ -150,7 +150,7 @@ enum ModelPart<'m> {
     CrossAxisError(CrossAxisError<'m>),
 }
 
-fn write_drive_table<'m>(
+fn add_drive_table<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
     drive: &DriveErrorModel<'m>,
@@ -192,7 +192,7 @@ fn write_drive_table<'m>(
     if drive.is_bidirectional() {
         for approach in ApproachDirection::BOTH {
             let table = CecTable { input: &axis, output: &axis, approach: Some(approach), grid };
-            cec.push(files.write_cec(options, &table, |mm| error_um(mm, approach)));
+            cec.push(files.add_cec_table(options, &table, |mm| error_um(mm, approach)));
         }
         let largest = grid
             .positions_mm()
@@ -202,7 +202,9 @@ fn write_drive_table<'m>(
     } else {
         if drive.is_position_dependent() {
             // The backlash comes on top of the table, by a machine data of its own.
-            files.write_eec(options, &axis, grid, |mm| error_um(mm, ApproachDirection::Positive));
+            files.add_eec_table(options, &axis, grid, |mm| {
+                error_um(mm, ApproachDirection::Positive)
+            });
         }
         if drive.backlash_um() != 0.0 {
             let mm = drive.backlash_um() / 1000.0 / options.units.mm_per_unit();
@@ -213,7 +215,7 @@ fn write_drive_table<'m>(
     PlannedTable { part: ModelPart::Drive(drive.clone()), grid, constant_um, cec, was_thinned }
 }
 
-fn write_cross_axis_table<'m>(
+fn add_cross_axis_table<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
     cross: &CrossAxisError<'m>,
@@ -234,7 +236,7 @@ fn write_cross_axis_table<'m>(
     let [input, output] =
         [cross.along, cross.error].map(|axis| machine_axis_name(machine, axis, false));
     let table = CecTable { input: &input, output: &output, approach: None, grid };
-    let index = files.write_cec(options, &table, error_um);
+    let index = files.add_cec_table(options, &table, error_um);
     let largest = grid.positions_mm().into_iter().map(|mm| error_um(mm).abs());
     *files.cec_sum_um.entry(output).or_default() += largest.fold(0.0, f64::max);
     let was_thinned = grid.points == most;
@@ -261,7 +263,7 @@ fn push_line(text: &mut String, line: &str) {
 }
 
 impl IniFileContents {
-    fn write_eec(
+    fn add_eec_table(
         &mut self,
         options: &ExportOptions,
         axis: &str,
@@ -282,7 +284,7 @@ impl IniFileContents {
     }
 
     /// Gives the table's index.
-    fn write_cec(
+    fn add_cec_table(
         &mut self,
         options: &ExportOptions,
         table: &CecTable<'_>,
@@ -341,7 +343,7 @@ fn format_table(
     }
 }
 
-fn write_files(options: &ExportOptions, mut files: IniFileContents, export: &mut ExportResult) {
+fn add_files(options: &ExportOptions, mut files: IniFileContents, export: &mut ExportResult) {
     for (name, um) in &files.cec_sum_um {
         // Rounded up to a whole µm: above MD32720 the control raises an alarm.
         let mm = format_number(

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    estimated_constants::{NamedFinding, neutral_value},
+    findings::{NamedFinding, neutral_value},
     random_effects::{Estimate, MIN_POOLED_MACHINES, pool_estimates},
     record::MachineRecord,
     report::Cause,

@@ -1,7 +1,7 @@
 //! The series as one page: what to do first, the machines in a table, and each constant as a picture.
 
 use trueup_page::{
-    ForestPlot, ForestRow, HtmlPage, HtmlTable, Provenance, format_significant,
+    ForestPlot, ForestRow, HtmlPage, HtmlTable, Provenance, format_three_digits,
     format_with_interval,
 };
 
@@ -135,8 +135,8 @@ fn constant_table(constants: &[&SeriesConstant]) -> HtmlTable {
     for it in constants {
         let [mean, low, high] = format_with_interval(it.mean.value, it.mean.ci95);
         let spread = match it.by_ratios {
-            true => format!("× {}", format_significant(it.spread.value)),
-            false => format_significant(it.spread.value),
+            true => format!("× {}", format_three_digits(it.spread.value)),
+            false => format_three_digits(it.spread.value),
         };
         let (machines, range) = (it.machines.to_string(), format!("{low} to {high}"));
         table.add_row(&[it.name.as_str(), &machines, &mean, &range, &spread]);

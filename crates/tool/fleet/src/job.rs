@@ -272,7 +272,7 @@ mod tests {
         for other in [submission("b", b"1"), submission("a", b"2")] {
             assert_ne!(other.submit(&store).expect("it is written").id, first.id);
         }
-        assert_eq!(store.job_ids().expect("it is read").len(), 3);
+        assert_eq!(store.list_job_ids().expect("it is read").len(), 3);
     }
 
     #[test]

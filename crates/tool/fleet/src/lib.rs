@@ -8,7 +8,7 @@
 //! | [`worker`] | threads that do jobs, one result each; where the jobs stand |
 //! | [`nats`] | the same jobs on a NATS server, for workers on any computer |
 //! | [`job_result`] | results, compared with their checksums |
-//! | [`estimated_constants`] | constants with their errors, out of a diagnosis |
+//! | [`findings`] | constants with their errors, out of a diagnosis |
 //! | [`structure`] | one structure of the model for all machines |
 //! | [`random_effects`] | one constant on many machines: mean, spread, shrunk values |
 //! | [`outliers`] | a machine that is unlike the others |
@@ -21,7 +21,7 @@
 
 mod cause_summary;
 pub mod drift;
-pub mod estimated_constants;
+pub mod findings;
 pub mod html_report;
 pub mod job;
 pub mod job_result;

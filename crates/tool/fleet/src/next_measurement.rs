@@ -7,7 +7,7 @@
 use trueup_page::format_micrometres;
 
 use crate::{
-    estimated_constants::is_log_scaled,
+    findings::is_log_scaled,
     random_effects::Estimate,
     record::{MachineRecord, PooledConstant, UncertainConstant},
     report::NextMeasurement,

@@ -23,7 +23,7 @@ use crate::random_effects::Estimate;
 /// How often a healthy machine is called odd.
 pub(crate) const SIGNIFICANCE_LEVEL: f64 = 0.01;
 /// The same at most for one constant.
-const MAX_CONSTANT_SIGNIFICANCE_LEVEL: f64 = 0.005;
+const MAX_LEVEL_PER_CONSTANT: f64 = 0.005;
 /// A step is certain at this level for the series.
 const OUTLIER_SIGNIFICANCE_LEVEL: f64 = 0.01;
 /// The largest share of machines that are taken out.
@@ -52,7 +52,7 @@ pub fn compare_machines(
         return None;
     }
     let out = find_outliers(machines);
-    let level = (SIGNIFICANCE_LEVEL / constants.max(1) as f64).min(MAX_CONSTANT_SIGNIFICANCE_LEVEL);
+    let level = (SIGNIFICANCE_LEVEL / constants.max(1) as f64).min(MAX_LEVEL_PER_CONSTANT);
     let compared = |index: usize| {
         let others: Vec<Estimate> = (0..machines.len())
             .filter(|other| *other != index && !out.contains(other))

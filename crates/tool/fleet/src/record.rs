@@ -2,7 +2,7 @@
 
 use trueup_compare::dated_constants::EpochDay;
 
-use crate::{estimated_constants::NamedFinding, random_effects::Estimate};
+use crate::{findings::NamedFinding, random_effects::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]

@@ -12,7 +12,7 @@ use trueup_compare::dated_constants::{EpochDay, format_day};
 use crate::{
     cause_summary,
     drift::{Drift, current_estimate, estimate_drift},
-    estimated_constants::is_log_scaled,
+    findings::is_log_scaled,
     next_measurement,
     outliers::{self, compare_machines, holm_adjust},
     random_effects::{Estimate, NORMAL_QUANTILE_975, pool_estimates},
@@ -89,7 +89,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
         all.push(constant);
         pooled.push(PooledConstant { name, parameter, open });
     }
-    correct_multiple_testing(&mut all);
+    correct_for_multiple_testing(&mut all);
     let mut series = SeriesReport {
         schema: 1,
         machines: summarise_machines(records, &all, &drifts),
@@ -235,7 +235,7 @@ fn evaluate_constant<'r>(
 }
 
 /// Corrects the probabilities for the number of machines and constants.
-fn correct_multiple_testing(constants: &mut [SeriesConstant]) {
+fn correct_for_multiple_testing(constants: &mut [SeriesConstant]) {
     let mut all: Vec<&mut MachineComparison> = constants
         .iter_mut()
         .flat_map(|constant| constant.values.iter_mut().filter_map(|value| value.compared.as_mut()))
@@ -276,7 +276,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::estimated_constants;
+    use crate::findings;
 
     /// A record with one finding, a value with an error of 0.1.
     fn record(machine: &str, value: f64, claimed: bool) -> MachineRecord {
@@ -292,7 +292,7 @@ mod tests {
             verdict: "explained".into(),
             quantity: "dz".into(),
             belief: "b".into(),
-            found: estimated_constants::parse_findings(&diagnosis),
+            found: findings::parse_findings(&diagnosis),
             fitted: Vec::new(),
         }
     }

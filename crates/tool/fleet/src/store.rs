@@ -89,7 +89,7 @@ impl FleetStore {
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn job_ids(&self) -> io::Result<Vec<String>> {
+    pub fn list_job_ids(&self) -> io::Result<Vec<String>> {
         self.list_subfolder("jobs")
     }
 

@@ -13,7 +13,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    estimated_constants::{CauseIdentity, NamedFinding},
+    findings::{CauseIdentity, NamedFinding},
     record::MachineRecord,
 };
 
@@ -110,7 +110,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::estimated_constants;
+    use crate::findings;
 
     fn record(machine: &str, causes: &[(&str, bool)]) -> MachineRecord {
         let finding = |(cause, claimed): &(&str, bool)| -> Value {
@@ -127,9 +127,7 @@ mod tests {
             verdict: "explained".into(),
             quantity: "dz".into(),
             belief: String::new(),
-            found: estimated_constants::parse_findings(
-                &json!({"quantity": "dz", "findings": findings}),
-            ),
+            found: findings::parse_findings(&json!({"quantity": "dz", "findings": findings})),
             fitted: Vec::new(),
         }
     }

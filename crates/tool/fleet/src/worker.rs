@@ -188,7 +188,7 @@ impl WorkerThreads<'_> {
                 return Ok(NextJob::Wait);
             }
             let open;
-            (*queue, open) = self.waiting_jobs()?;
+            (*queue, open) = self.scan_waiting_jobs()?;
             is_fresh = true;
             if open == 0 {
                 return Ok(NextJob::Nothing);
@@ -197,10 +197,10 @@ impl WorkerThreads<'_> {
     }
 
     /// Returns the jobs that wait, in an order of this process, and how many have not ended.
-    fn waiting_jobs(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
+    fn scan_waiting_jobs(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
         let leases = lease::find_newest_leases(self.store)?;
         let now = Instant::now();
-        let open = self.store.job_ids()?.into_iter().filter(|id| !self.store.is_job_ended(id));
+        let open = self.store.list_job_ids()?.into_iter().filter(|id| !self.store.is_job_ended(id));
         let open: Vec<String> = open.collect();
         // What a worker has left that was killed after its result.
         for id in leases.keys().filter(|id| self.store.is_job_ended(id)) {
@@ -365,7 +365,7 @@ pub fn read_status(store: &FleetStore) -> io::Result<FleetStatus> {
     let leases = lease::find_newest_leases(store)?;
     let failed = store.list_subfolder("failed")?;
     let mut status = FleetStatus::default();
-    for id in store.job_ids()? {
+    for id in store.list_job_ids()? {
         let machine = Job::read(store, &id).map(|job| job.machine).unwrap_or_default();
         let mut entry = JobStatus { id: id.clone(), machine, taken: None, reason: None };
         if store.result_folder(&id).exists() {

@@ -97,7 +97,7 @@ fn a_worker_that_cannot_go_on_gives_its_job_back_at_once() {
 #[test]
 fn a_lease_whose_owner_is_gone_ends_and_the_job_is_done() {
     let (folder, store) = store_with(1);
-    let id = store.job_ids().expect("it is read").remove(0);
+    let id = store.list_job_ids().expect("it is read").remove(0);
     // As a worker leaves it that was killed.
     fs::write(folder.path().join("leases").join(format!("{id}.1")), "gone 7").expect("a file");
     fs::create_dir(folder.path().join("tmp").join(format!("result-{id}-x"))).expect("a folder");
@@ -126,7 +126,7 @@ fn a_slow_worker_keeps_its_job_and_two_results_are_one() {
 #[test]
 fn a_damaged_result_and_a_damaged_run_are_reported() {
     let (folder, store) = store_with(2);
-    let ids = store.job_ids().expect("it is read");
+    let ids = store.list_job_ids().expect("it is read");
     fs::write(store.job_folder(&ids[0]).join("run-1.csv"), "9").expect("it is written");
     let tally = run_workers(&store, OPTIONS, twice()).expect("it is written");
     assert_eq!(tally, JobCounts { done: 1, failed: 1 });

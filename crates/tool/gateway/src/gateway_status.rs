@@ -86,7 +86,7 @@ pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
             "heard": control.is_some(),
             "engage": control.map(|control| control.engage),
             "refused": input.refused,
-            "last_refused": refusal_text(input.last_refused),
+            "last_refused": reject_reason_text(input.last_refused),
         },
     })
 }
@@ -106,7 +106,7 @@ fn link_state_name(is_up: bool) -> &'static str {
     if is_up { "up" } else { "down" }
 }
 
-fn refusal_text(number: u16) -> Option<String> {
+fn reject_reason_text(number: u16) -> Option<String> {
     match number {
         REJECT_REASON_STALE => return Some("it came after a silence and may be old".into()),
         REJECT_REASON_CALIBRATION => {

@@ -267,7 +267,7 @@ fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<CellRow>, 
     Ok(rows)
 }
 
-struct TextField {
+struct DelimitedField {
     text: String,
     /// In bytes, with the separator or line end after it.
     length: usize,
@@ -279,7 +279,7 @@ struct TextField {
 }
 
 /// Returns the field that `rest` begins with; `None` for a quote without an end.
-fn next_field(rest: &str, separator: char) -> Option<TextField> {
+fn next_field(rest: &str, separator: char) -> Option<DelimitedField> {
     let is_end = |c: char| c == separator || c == '\n' || c == '\r';
     let blanks = rest.len() - rest.trim_start_matches([' ', '\t']).len();
     let is_quoted = separator != ' ' && rest[blanks..].starts_with('"');
@@ -318,7 +318,7 @@ fn next_field(rest: &str, separator: char) -> Option<TextField> {
     } else {
         (separator.len_utf8(), false)
     };
-    Some(TextField { text, length: after + ending, width, lines, is_last })
+    Some(DelimitedField { text, length: after + ending, width, lines, is_last })
 }
 
 #[cfg(test)]

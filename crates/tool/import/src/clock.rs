@@ -138,9 +138,9 @@ pub(crate) fn detect_two_part_format(
         return Ok(TwoPartTimeFormat::HoursMinutes);
     }
     // A working day does not begin in the night, and a stopwatch begins near 0.
-    const EARLIEST_SHIFT_HOUR: u32 = 5;
+    const EARLIEST_WORK_HOUR: u32 = 5;
     let is_whole = numbers.iter().all(|(_, second)| *second == 0);
-    if start.0 >= EARLIEST_SHIFT_HOUR && !is_whole {
+    if start.0 >= EARLIEST_WORK_HOUR && !is_whole {
         return Ok(TwoPartTimeFormat::HoursMinutes);
     }
     let row = rows.iter().find(|row| row.cells[at].text() == *first);
@@ -185,10 +185,10 @@ pub(crate) fn compute_elapsed_seconds(
             .with_help("give all of them a zone, or none")
             .into());
     }
-    let start_s = stamps.iter().flatten().next().map_or(0.0, Timestamp::total_s);
+    let start_s = stamps.iter().flatten().next().map_or(0.0, Timestamp::seconds_since_epoch);
     let raw: Vec<f64> = stamps
         .iter()
-        .map(|stamp| stamp.map_or(f64::NAN, |stamp| stamp.total_s() - start_s))
+        .map(|stamp| stamp.map_or(f64::NAN, |stamp| stamp.seconds_since_epoch() - start_s))
         .collect();
     let is_wall_clock = has_date || stamps.iter().flatten().any(|stamp| stamp.seconds.is_some());
     accumulate_elapsed_seconds(
@@ -196,7 +196,7 @@ pub(crate) fn compute_elapsed_seconds(
         rows,
         at,
         runs,
-        ClockJumps { has_midnight: !has_date, has_hours: is_wall_clock && !has_zone },
+        AllowedClockJumps { has_midnight: !has_date, has_hours: is_wall_clock && !has_zone },
         summer_time,
         path,
     )
@@ -204,7 +204,7 @@ pub(crate) fn compute_elapsed_seconds(
 
 /// The jumps that a clock may make and time does not.
 #[derive(Clone, Copy)]
-pub(crate) struct ClockJumps {
+pub(crate) struct AllowedClockJumps {
     /// It begins again at midnight.
     pub(crate) has_midnight: bool,
     /// It may change to and from summer time.
@@ -217,7 +217,7 @@ pub(crate) fn accumulate_elapsed_seconds(
     rows: &[CellRow],
     at: usize,
     runs: Option<&[f64]>,
-    wall: ClockJumps,
+    wall: AllowedClockJumps,
     summer_time: Option<bool>,
     path: &Path,
 ) -> Result<ElapsedSeconds, ImportError> {

@@ -89,9 +89,9 @@ pub(crate) fn map_columns(
     path: &Path,
 ) -> Result<Vec<ColumnMapping>, ImportError> {
     let mut drafts: Vec<ColumnInference<'_>> = (0..layout.columns.len())
-        .map(|at| infer_column_mapping(layout, at, answers))
+        .map(|at| infer_column(layout, at, answers))
         .collect::<Result<_, _>>()?;
-    check_answered_columns(&drafts, answers, path)?;
+    reject_unknown_columns(&drafts, answers, path)?;
     let mut questions = Vec::new();
     axis_assignment::assign_axes(&mut drafts, &mut questions);
     let position = |drafts: &[ColumnInference<'_>], axis: char| {
@@ -146,7 +146,7 @@ pub(crate) fn target_column(role: &ColumnRole) -> Option<&TargetColumn> {
     }
 }
 
-fn infer_column_mapping<'l>(
+fn infer_column<'l>(
     layout: &'l SourceTable,
     at: usize,
     answers: &ImportAnswers,
@@ -192,7 +192,7 @@ fn infer_column_mapping<'l>(
 }
 
 /// Every answer names a column of the file.
-fn check_answered_columns(
+fn reject_unknown_columns(
     drafts: &[ColumnInference<'_>],
     answers: &ImportAnswers,
     path: &Path,
@@ -265,7 +265,7 @@ fn determine_role(
     };
     let is_time = matches!(target.name.as_str(), "time_s" | "gauge_time_s");
     if is_moments {
-        return timestamp_role(draft, target, is_time);
+        return determine_timestamp_role(draft, target, is_time);
     }
     if target.name.starts_with("dir_") {
         return Ok(ColumnRole::Direction(target));
@@ -323,7 +323,7 @@ fn determine_role(
 }
 
 /// Returns the role of a column whose values are dates or times of day.
-fn timestamp_role(
+fn determine_timestamp_role(
     draft: &ColumnInference<'_>,
     target: TargetColumn,
     is_time: bool,
@@ -371,7 +371,7 @@ fn resolve_column_unit(
             unit,
             &TargetColumn {
                 dimension: Some(dimension),
-                ..TargetColumn::from_name(dimension.suffix())
+                ..TargetColumn::from_name(dimension.column_suffix())
             },
         )),
         (None, Some(own)) => Ok(own),

@@ -168,7 +168,7 @@ pub(crate) fn slugify(text: &str) -> String {
 }
 
 /// Returns the axis that one of the words names: `x`, `dx`, `xpos`, `achse x`.
-fn axis_in_words(words: &[String]) -> Option<char> {
+fn find_axis_in_words(words: &[String]) -> Option<char> {
     let of = |word: &str| match word {
         "x" | "dx" | "xachse" | "xaxis" | "xpos" | "posx" | "xposition" | "xist" | "xsoll"
         | "xactual" | "xtarget" => Some('x'),
@@ -184,7 +184,7 @@ fn axis_in_words(words: &[String]) -> Option<char> {
 /// Returns whether no word says more than an axis and its position.
 fn is_only_axis(words: &[String]) -> bool {
     words.iter().all(|word| {
-        let is_axis = axis_in_words(std::slice::from_ref(word)).is_some();
+        let is_axis = find_axis_in_words(std::slice::from_ref(word)).is_some();
         is_axis
             || vocabulary::contains_word(STOP_WORDS, word)
             || vocabulary::contains_word(COMMANDED_POSITION_KEYWORDS, word)
@@ -202,7 +202,8 @@ fn thermometer_location(words: &[String]) -> String {
 
 /// Returns a name with the suffix of its unit.
 fn with_unit_suffix(name: &str, dimension: Option<Dimension>) -> String {
-    dimension.map_or_else(|| name.into(), |dimension| format!("{name}_{}", dimension.suffix()))
+    dimension
+        .map_or_else(|| name.into(), |dimension| format!("{name}_{}", dimension.column_suffix()))
 }
 
 /// Returns whether a word belongs to a number of rows.
@@ -238,13 +239,13 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
         || if is_identifier { header.into() } else { with_unit_suffix(&slugged, dimension) };
     let other = || ColumnMeaning::Other(own_name());
     if is_own || (is_identifier && dimension.is_none()) {
-        return match (axis_in_words(&words), words[0].as_str()) {
+        return match (find_axis_in_words(&words), words[0].as_str()) {
             // A misspelt or shortened name of the run file.
             (Some(axis), "dir" | "direction") => known(&format!("dir_{axis}")),
             _ => other(),
         };
     }
-    let axis = axis_in_words(&words);
+    let axis = find_axis_in_words(&words);
     let is_temperature = has(TEMPERATURE_KEYWORDS) || (dimension.is_some() && !is_identifier);
     if matches!(dimension, None | Some(Dimension::Temperature)) && is_temperature {
         return known(&format!("temp_{}_c", thermometer_location(&words)));

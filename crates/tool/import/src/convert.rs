@@ -8,7 +8,7 @@ use crate::{
     answers::{ImportAnswers, ImportError},
     cell_grid::Cell,
     cell_kinds::parse_number_with_unit,
-    clock::{self, ClockJumps, TimeFormat},
+    clock::{self, AllowedClockJumps, TimeFormat},
     column_mapping::{ColumnMapping, ColumnRole, target_column, unit_question},
     layout::SourceTable,
     number::{self, DecimalSeparator},
@@ -220,7 +220,7 @@ impl TableConverter<'_> {
                 self.convert_elapsed_column(at, target.name.as_str(), *unit, runs, answers, notes)
             }
             ColumnRole::Timestamps { target, form } => {
-                let pair = self.two_part_time_format(at, form)?;
+                let pair = self.resolve_two_part_format(at, form)?;
                 let reading = TimeFormat { order: order.unwrap_or(DateOrder::Year), pair };
                 let stamps = self.parse_timestamps(at, reading)?;
                 let found = clock::compute_elapsed_seconds(
@@ -256,7 +256,7 @@ impl TableConverter<'_> {
     }
 
     /// Returns the column of dates that belongs to the times in `at`.
-    fn date_column(&self, at: usize) -> Option<usize> {
+    fn find_date_column(&self, at: usize) -> Option<usize> {
         let dates = (0..self.plans.len()).filter(|other| *other != at);
         dates
             .into_iter()
@@ -264,12 +264,12 @@ impl TableConverter<'_> {
     }
 
     /// Returns how the times in `at` with two numbers are meant: as hours and minutes where dates belong to them.
-    fn two_part_time_format(
+    fn resolve_two_part_format(
         &self,
         at: usize,
         form: &str,
     ) -> Result<TwoPartTimeFormat, ImportError> {
-        if self.date_column(at).is_some() {
+        if self.find_date_column(at).is_some() {
             return Ok(TwoPartTimeFormat::HoursMinutes);
         }
         let header = &self.layout.columns[at].header;
@@ -281,7 +281,7 @@ impl TableConverter<'_> {
         at: usize,
         reading: TimeFormat,
     ) -> Result<Vec<Option<Timestamp>>, ImportError> {
-        let dates = self.date_column(at);
+        let dates = self.find_date_column(at);
         let help = "write 2026-04-03 08:15:00, 08:15:00, or seconds";
         let read = |row: usize, at: usize| {
             let cell = &self.layout.rows[row].cells[at];
@@ -361,7 +361,7 @@ impl TableConverter<'_> {
         };
         // A counter has no summer time, unless the user says that it has.
         let has_hours = answers.summer_time.is_some();
-        let wall = ClockJumps { has_midnight: false, has_hours };
+        let wall = AllowedClockJumps { has_midnight: false, has_hours };
         let found = clock::accumulate_elapsed_seconds(
             &seconds,
             &self.layout.rows,

@@ -67,7 +67,8 @@ pub fn parse(text: &str, path: &Path) -> Result<ImportAnswers, InputFileError> {
                     .as_table_like()
                     .ok_or_else(|| bad(item, "columns must be a table".into()))?;
                 for (header, item) in table.iter() {
-                    parse_column(header, item, &mut answers).map_err(|rule| bad(item, rule))?;
+                    record_column_answers(header, item, &mut answers)
+                        .map_err(|rule| bad(item, rule))?;
                 }
                 Ok(())
             }
@@ -78,7 +79,11 @@ pub fn parse(text: &str, path: &Path) -> Result<ImportAnswers, InputFileError> {
     Ok(answers)
 }
 
-fn parse_column(header: &str, item: &Item, answers: &mut ImportAnswers) -> Result<(), String> {
+fn record_column_answers(
+    header: &str,
+    item: &Item,
+    answers: &mut ImportAnswers,
+) -> Result<(), String> {
     let table = item.as_table_like().ok_or("a column must be a table with name and unit")?;
     answers.of_map.push(header.into());
     for (key, item) in table.iter() {

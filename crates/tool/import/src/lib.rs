@@ -108,7 +108,7 @@ pub fn import(
             }
         }
     };
-    let layout = wide_table::to_long_format(layout)?;
+    let layout = wide_table::into_long_format(layout)?;
     let (decimal, is_of_use) =
         cell_kinds::detect_decimal_separator(&layout, is_by_comma, answers.decimal, path)?;
     if is_of_use {

@@ -26,7 +26,7 @@ pub(crate) struct Timestamp {
 
 impl Timestamp {
     /// Returns the seconds from the epoch, or from midnight.
-    pub(crate) fn total_s(&self) -> f64 {
+    pub(crate) fn seconds_since_epoch(&self) -> f64 {
         self.day.unwrap_or(0) as f64 * 86_400.0 + self.seconds.unwrap_or(0.0)
     }
 }
@@ -316,7 +316,8 @@ mod tests {
 
     #[test]
     fn a_time_is_read_to_the_second() {
-        let seconds = |text: &str, pair| parse(text, DayMonth, pair).map(|stamp| stamp.total_s());
+        let seconds =
+            |text: &str, pair| parse(text, DayMonth, pair).map(|stamp| stamp.seconds_since_epoch());
         for (text, expected) in [
             ("08:15", 29_700.0),
             ("8:15 PM", 72_900.0),
@@ -336,7 +337,7 @@ mod tests {
         let both = |text| parse(text, DayMonth, TwoPartTimeFormat::HoursMinutes).expect("a moment");
         let utc = both("2026-04-03T08:15:00Z");
         assert_eq!(both("2026-04-03T10:15:00+02:00"), utc);
-        assert_eq!(both("2026-04-03 08:15").total_s(), utc.total_s());
+        assert_eq!(both("2026-04-03 08:15").seconds_since_epoch(), utc.seconds_since_epoch());
         assert_eq!(from_serial_date(46_115.343_75).seconds, Some(29_700.0));
         assert_eq!(from_serial_date(0.34375).day, None);
     }

@@ -25,7 +25,7 @@ pub(crate) enum Dimension {
 
 impl Dimension {
     /// Returns the ending of a column's name for values in the base unit.
-    pub(crate) fn suffix(self) -> &'static str {
+    pub(crate) fn column_suffix(self) -> &'static str {
         match self {
             Self::Time => "s",
             Self::Length => "mm",

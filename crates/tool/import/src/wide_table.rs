@@ -14,7 +14,7 @@ use crate::{
 ///
 /// # Errors
 /// Some of these columns state a direction and others do not.
-pub(crate) fn to_long_format(layout: SourceTable) -> Result<SourceTable, InputFileError> {
+pub(crate) fn into_long_format(layout: SourceTable) -> Result<SourceTable, InputFileError> {
     let is_position = |column: &SourceColumn| {
         let parts = column_meaning::split_header(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });

@@ -11,13 +11,14 @@ use trueup_link::{
 use crate::NANOMETRES_PER_MICROMETRE;
 
 /// Temperature channels of the bridge.
-pub const TEMPERATURE_COUNT: usize = trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
+pub const TEMPERATURE_CHANNEL_COUNT: usize =
+    trueup_core::design_parameters::TEMPERATURE_CHANNEL_COUNT;
 
 /// The newest of what the bridge says of itself, with its time.
 #[derive(Debug, Default)]
 pub(crate) struct BridgeStatus {
     receiver: StatusReceiver,
-    pub(crate) temperatures_c: [Option<(Duration, f64)>; TEMPERATURE_COUNT],
+    pub(crate) temperatures_c: [Option<(Duration, f64)>; TEMPERATURE_CHANNEL_COUNT],
     pub(crate) elongation_um: Option<(Duration, f64)>,
     pub(crate) state: StateBits,
     pub(crate) calibration: Option<u32>,

@@ -4,7 +4,7 @@ use core::time::Duration;
 
 use trueup_core::{
     cnc::{Control, MachineConditions, OffsetFlags, OffsetQuality},
-    learned::LEARNED_PART_COUNT,
+    learned_changes::LEARNED_PART_COUNT,
 };
 use trueup_link::{
     layout::STATUS_ID, receiver::FrameCounters, slcan::AdapterMessage, status::StateBits,
@@ -26,7 +26,7 @@ use crate::{
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
 /// thousandth of its step before its goal, and a wire bit is 10 nm.
 const APPLIED_TOLERANCE_NM: f64 = 20.0;
-pub use crate::bridge_status::TEMPERATURE_COUNT;
+pub use crate::bridge_status::TEMPERATURE_CHANNEL_COUNT;
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(3_400);
 /// How often the heartbeat turns round.
@@ -111,7 +111,7 @@ pub struct ComponentOutputs {
     /// Counters of received frames.
     pub counters: FrameCounters,
     /// The bridge's temperatures in °C; `None` where it does not say.
-    pub temperatures_c: [Option<f64>; TEMPERATURE_COUNT],
+    pub temperatures_c: [Option<f64>; TEMPERATURE_CHANNEL_COUNT],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
     pub elongation_um: Option<f64>,
     /// State bits that the bridge reports next to its offsets.
@@ -270,7 +270,7 @@ impl Component {
             load_n: inputs.load_n,
             conditions: inputs.conditions,
         };
-        (outputs, self.sender.due_frames(now, &command))
+        (outputs, self.sender.take_due_frames(now, &command))
     }
 
     /// Brings the offsets towards their goal, at the joints or as external offsets.
@@ -470,7 +470,7 @@ pub(crate) mod tests {
         world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
         world.live(2);
-        assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURE_COUNT]);
+        assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURE_CHANNEL_COUNT]);
     }
 
     #[test]

@@ -177,7 +177,7 @@ impl JointOffsets {
             let axis = joint.axis.min(2);
             state.adopt_current_offset(reading);
             state.update_base_offset(reading);
-            state.hold_offset(step.ready && !reading.homing, reading);
+            state.hold_unless_following(step.ready && !reading.homing, reading);
             if let (true, Some(goal)) = (state.follows, step.goal_nm) {
                 let goal = f64::from(goal[axis]);
                 let allowed = clamp_to_limits(goal, joint, reading);
@@ -186,7 +186,7 @@ impl JointOffsets {
             }
             let max = f64::from(step.max_nm[axis].max(0));
             goals[index] = JointGoal {
-                offset_nm: state.offset_nm + state.dither_nm(reading),
+                offset_nm: state.offset_nm + state.next_dither_nm(reading),
                 min_nm: state.base_nm - max,
                 max_nm: state.base_nm + max,
                 reference_nm: state.reference_nm.unwrap_or(f64::NAN),
@@ -228,7 +228,7 @@ impl JointState {
     }
 
     /// Keeps the offset that acts when the machine is no longer ready, on whatever way it is to its goal.
-    fn hold_offset(&mut self, follows: bool, reading: &JointReading) {
+    fn hold_unless_following(&mut self, follows: bool, reading: &JointReading) {
         if self.follows && !follows && reading.now_nm.is_finite() {
             self.offset_nm = reading.now_nm;
         }
@@ -236,7 +236,7 @@ impl JointState {
     }
 
     /// Returns by how much the goal is changed now, in nanometres: in every other step, while it stands above the offset.
-    fn dither_nm(&mut self, reading: &JointReading) -> f64 {
+    fn next_dither_nm(&mut self, reading: &JointReading) -> f64 {
         let (before_nm, was_kicked) = self.given;
         let stands = (self.offset_nm - before_nm).abs() <= CHANGE_TOLERANCE_NM;
         let is_kicked =

@@ -35,7 +35,7 @@ const STEP_TIMEOUT: Duration = Duration::from_secs(1);
 const SETTLE_TIME: Duration = Duration::from_millis(50);
 /// This many of them one after the other: the pins are not connected as they should be, or LinuxCNC
 /// stands.
-const MAX_LOST_STEPS: u8 = 3;
+const LOST_STEP_LIMIT: u8 = 3;
 /// An axis that the planner does not move for this time is reported as stuck.
 const STUCK_TIMEOUT: Duration = Duration::from_millis(500);
 /// Two readings of `eoffset-request` are the same within this, in counts.
@@ -127,7 +127,7 @@ impl OffsetFollower {
         pace: &RateLimits,
     ) -> StepResult {
         let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_TIMEOUT);
-        let result = StepResult { counts: 0, stuck, not_taken: self.lost >= MAX_LOST_STEPS };
+        let result = StepResult { counts: 0, stuck, not_taken: self.lost >= LOST_STEP_LIMIT };
         if !ready || !reading.request_nm.is_finite() || !reading.eoffset_nm.is_finite() {
             *self = Self { offset_before: reading.eoffset_nm, ..Self::default() };
             return StepResult::default();

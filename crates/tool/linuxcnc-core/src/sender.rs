@@ -26,7 +26,7 @@ use trueup_core::{
         AxisPosition, Control, LinearAxis, MachineConditions, RotaryAxisAngles, SpindleState,
         TravelDirection,
     },
-    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
+    learned_changes::{LEARNED_PART_COUNT, LearnedChangeRequest, calibration_id},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
@@ -65,18 +65,18 @@ pub(crate) struct CommandValues {
 
 /// A value that is sent while it changes.
 #[derive(Debug)]
-struct SendOnChange<T> {
+struct ValueTxState<T> {
     sent: Option<(Duration, T)>,
     counter: u8,
 }
 
-impl<T> Default for SendOnChange<T> {
+impl<T> Default for ValueTxState<T> {
     fn default() -> Self {
         Self { sent: None, counter: 0 }
     }
 }
 
-impl<T: PartialEq + Copy> SendOnChange<T> {
+impl<T: PartialEq + Copy> ValueTxState<T> {
     /// Returns the counter of the frame if one is due.
     fn take_due_counter(
         &mut self,
@@ -150,13 +150,13 @@ impl DirectionTracker {
 pub(crate) struct CncTransmitter {
     position_period: Duration,
     sends_rotary: bool,
-    control: SendOnChange<Control>,
-    positions: [SendOnChange<AxisPosition>; 3],
+    control: ValueTxState<Control>,
+    positions: [ValueTxState<AxisPosition>; 3],
     courses: [DirectionTracker; 3],
     reversals: [Option<i32>; 3],
-    rotary: SendOnChange<RotaryAxisAngles>,
-    spindle: SendOnChange<SpindleState>,
-    conditions: SendOnChange<MachineConditions>,
+    rotary: ValueTxState<RotaryAxisAngles>,
+    spindle: ValueTxState<SpindleState>,
+    conditions: ValueTxState<MachineConditions>,
     zero_until: Option<Duration>,
     zero_was: bool,
     /// Learned values, and the calibration that they change; `None`: none are sent.
@@ -202,7 +202,7 @@ impl CncTransmitter {
     }
 
     /// Returns the frames that are due.
-    pub(crate) fn due_frames(&mut self, now: Duration, command: &CommandValues) -> DueFrames {
+    pub(crate) fn take_due_frames(&mut self, now: Duration, command: &CommandValues) -> DueFrames {
         let mut due = DueFrames::new();
         let control =
             Control { zero: self.stretch_zero_pulse(now, command.control.zero), ..command.control };
@@ -235,7 +235,7 @@ impl CncTransmitter {
                 push_frame(&mut due, frames::encode_rotary(rotary, counter));
             }
         }
-        let spindle = to_spindle(command.spindle_rpm, command.load_n);
+        let spindle = to_spindle_state(command.spindle_rpm, command.load_n);
         let often = Duration::from_millis(SPINDLE_PERIOD_MS.into());
         if command.spindle_rpm.is_finite()
             && command.load_n.is_finite()
@@ -281,7 +281,7 @@ fn to_micro_degrees(deg: f64) -> MicroDegrees {
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "they saturate")]
-fn to_spindle(rpm: f64, load_n: f64) -> SpindleState {
+fn to_spindle_state(rpm: f64, load_n: f64) -> SpindleState {
     SpindleState { speed: Rpm(round(rpm.abs()) as u16), load_n: round(load_n) as i16 }
 }
 
@@ -302,7 +302,7 @@ mod tests {
         command: &CommandValues,
     ) -> Vec<Received> {
         let mut receiver = CncReceiver::new();
-        let frames = sender.due_frames(now, command);
+        let frames = sender.take_due_frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
     }
 
@@ -314,7 +314,7 @@ mod tests {
         for now in 0..1_000 {
             let command =
                 CommandValues { position_mm: [now as f64, 7.0, 0.0], ..CommandValues::default() };
-            for frame in sender.due_frames(ms(now), &command) {
+            for frame in sender.take_due_frames(ms(now), &command) {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Received::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
                     Some(Received::Position(there)) if there.axis == LinearAxis::Y => count[1] += 1,
@@ -455,7 +455,7 @@ mod tests {
         assert_eq!(to_micro_degrees(-190.5), MicroDegrees(169_500_000));
         assert_eq!(to_position(1e30), Position(i32::MAX));
         assert_eq!(
-            to_spindle(-24_000.0, 1e9),
+            to_spindle_state(-24_000.0, 1e9),
             SpindleState { speed: Rpm(24_000), load_n: i16::MAX }
         );
         let mut sender = CncTransmitter::new(ms(2), true, [Some(0.0); 3]);

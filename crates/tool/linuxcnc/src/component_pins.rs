@@ -51,7 +51,7 @@ const UNKNOWN_TOOL: i32 = -1;
 const MM_PER_COUNT: f64 = 1e-6;
 const AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
 /// No offset is as large, in machine units.
-const MAX_OFFSET_LIMIT: f64 = 1e6;
+const UNDRIVEN_LIMIT_THRESHOLD: f64 = 1e6;
 /// Without the wire of one of these, of an axis' four and of a joint's ten, an offset no longer does what it says.
 const REQUIRED_PINS: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
 const REQUIRED_AXIS_PINS: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
@@ -358,9 +358,9 @@ fn create_joint_pins<'hal>(
         retained.set(f64::NAN);
         let nm = |units: f64| units * mm_per_unit / MM_PER_COUNT;
         // The limits of a moveoff that no component has driven yet are 10²⁰.
-        let driven = there("min")
-            .zip(there("max"))
-            .filter(|(min, max)| min.abs() < MAX_OFFSET_LIMIT && max.abs() < MAX_OFFSET_LIMIT);
+        let driven = there("min").zip(there("max")).filter(|(min, max)| {
+            min.abs() < UNDRIVEN_LIMIT_THRESHOLD && max.abs() < UNDRIVEN_LIMIT_THRESHOLD
+        });
         let left = driven.zip(there("in")).map(|((low, high), goal)| {
             min.set(low);
             max.set(high);

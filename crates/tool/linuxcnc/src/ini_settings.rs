@@ -124,7 +124,7 @@ impl IniSettings {
     /// Returns what in the file is not compatible with this slew limit, a sentence each: an axis whose
     /// `OFFSET_AV_RATIO` is missing, too small, or so large that LinuxCNC itself would not keep it.
     #[must_use]
-    pub fn slew_limit_warnings(&self, slew_um_per_s: f64) -> Vec<String> {
+    pub fn find_slew_limit_conflicts(&self, slew_um_per_s: f64) -> Vec<String> {
         let mut remarks = Vec::new();
         for ((axis, name), has) in self.axes.iter().zip(["X", "Y", "Z"]).zip(self.has) {
             if !has {
@@ -239,7 +239,7 @@ mod tests {
                 "[AXIS_X]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis",
             ),
         ] {
-            assert_eq!(with_x(x).slew_limit_warnings(20.0), [remark]);
+            assert_eq!(with_x(x).find_slew_limit_conflicts(20.0), [remark]);
         }
     }
 
@@ -248,7 +248,7 @@ mod tests {
         let fits = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
         let of = |letters: &str| {
             let text = format!("[TRAJ]\nCOORDINATES = {letters}\n[AXIS_X]\n{fits}[AXIS_Z]\n{fits}");
-            IniSettings::parse(&text).expect("reads").slew_limit_warnings(20.0)
+            IniSettings::parse(&text).expect("reads").find_slew_limit_conflicts(20.0)
         };
         assert!(of("XZ").is_empty() && of("x z").is_empty());
         assert_eq!(of("XYZ").len(), 1);
@@ -258,7 +258,7 @@ mod tests {
     fn a_ratio_that_fits_and_a_speed_that_is_not_stated_are_passed_over() {
         // 100 mm/s · 0.00029 = 29 µm/s: less than half as much again.
         for x in ["MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.00029", "OFFSET_AV_RATIO = 0.0001"] {
-            assert_eq!(with_x(x).slew_limit_warnings(20.0), [""; 0]);
+            assert_eq!(with_x(x).find_slew_limit_conflicts(20.0), [""; 0]);
         }
     }
 

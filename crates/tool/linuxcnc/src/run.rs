@@ -13,7 +13,7 @@ use trueup_client::{
     pinned_calibration::PinnedCalibration,
     state_text::state_names,
 };
-use trueup_core::{cnc::OffsetQuality, learned::LEARNED_PART_COUNT};
+use trueup_core::{cnc::OffsetQuality, learned_changes::LEARNED_PART_COUNT};
 use trueup_link::status::StateBits;
 
 use crate::{
@@ -47,7 +47,7 @@ pub struct HalComponentSettings {
 
 /// Corrections learned since the bridge's calibration was made.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LearnedUpdate {
+pub struct LearnedCorrectionUpdate {
     /// Each part in the bridge's units; `None`: as before.
     pub amounts: Option<[i16; LEARNED_PART_COUNT]>,
     /// Lines about it for the operator.
@@ -65,7 +65,7 @@ pub fn run(
     open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
     stop: &AtomicBool,
     mut record: Option<RecordFile>,
-    learned: Option<impl Fn() -> Option<LearnedUpdate>>,
+    learned: Option<impl Fn() -> Option<LearnedCorrectionUpdate>>,
     mut report: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let HalComponentSettings {
@@ -90,7 +90,7 @@ pub fn run(
     }
     let mut refreshed = Duration::ZERO;
     let mut cut = None;
-    let mut lessons = LearnedCorrections { news: learned, of: *calibration, amounts: None };
+    let mut lessons = LearnedCorrectionSender { news: learned, of: *calibration, amounts: None };
     while !stop.load(Ordering::Relaxed) {
         let now = start.elapsed();
         if now.saturating_sub(refreshed) >= PIN_REFRESH_PERIOD {
@@ -136,7 +136,7 @@ pub fn run(
 }
 
 /// The learned corrections, as they are sent to the bridge.
-struct LearnedCorrections<F> {
+struct LearnedCorrectionSender<F> {
     /// The change since the last one sent; `None`: nothing is learned here.
     news: Option<F>,
     /// CRC of the calibration that it is a change of.
@@ -145,7 +145,7 @@ struct LearnedCorrections<F> {
     amounts: Option<[i16; LEARNED_PART_COUNT]>,
 }
 
-impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
+impl<F: Fn() -> Option<LearnedCorrectionUpdate>> LearnedCorrectionSender<F> {
     /// Without a source, a bridge receives the order to forget what a component before this one has sent.
     fn send_learned_corrections(
         &mut self,
@@ -263,7 +263,7 @@ mod tests {
     use trueup_client::pinned_calibration::CalibrationPolicy;
     use trueup_core::{
         cnc::CncMessage,
-        learned::{LearnedChangeRequest, calibration_id},
+        learned_changes::{LearnedChangeRequest, calibration_id},
     };
     use trueup_link::{
         receiver::CncReceiver,
@@ -298,13 +298,16 @@ mod tests {
 
     /// Returns what a component says of what was learned in five frames of `Control`, to a bridge that runs on
     /// `RUNNING`.
-    fn taught(news: Option<impl Fn() -> Option<LearnedUpdate>>, of: Option<u32>) -> Vec<(u8, i16)> {
+    fn taught(
+        news: Option<impl Fn() -> Option<LearnedCorrectionUpdate>>,
+        of: Option<u32>,
+    ) -> Vec<(u8, i16)> {
         let (mut component, mut receiver) = (component(), CncReceiver::new());
         let item = StatusItem::Calibration(RUNNING);
         let reported =
             status::encode(&Status { last_refused: status::FrameRejectReason::None, item }, 0);
         component.receive(Duration::ZERO, &AdapterMessage::Frame(reported));
-        let mut lessons = LearnedCorrections { news, of, amounts: None };
+        let mut lessons = LearnedCorrectionSender { news, of, amounts: None };
         let mut all = Vec::new();
         for turn in 0..5 {
             lessons.send_learned_corrections(&mut component, &mut |_: &str| ());
@@ -328,7 +331,7 @@ mod tests {
 
     #[test]
     fn without_a_learned_file_any_bridge_receives_that_nothing_was_learned() {
-        let none = None::<fn() -> Option<LearnedUpdate>>;
+        let none = None::<fn() -> Option<LearnedCorrectionUpdate>>;
         for of in [None, Some(RUNNING), Some(RUNNING ^ 1)] {
             assert_eq!(taught(none, of), [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0)], "{of:?}");
         }
@@ -340,14 +343,22 @@ mod tests {
         let nothing = [(0, 0); 5];
         let (ours, other) = (Some(RUNNING), Some(RUNNING ^ 1));
         assert_eq!(taught(Some(|| None), ours), nothing, "not looked at yet");
-        assert_eq!(taught(Some(|| Some(LearnedUpdate::default())), ours), nothing, "not readable");
-        let read =
-            || Some(LearnedUpdate { amounts: Some([10, 20, 30, 40, -50]), notices: Vec::new() });
+        assert_eq!(
+            taught(Some(|| Some(LearnedCorrectionUpdate::default())), ours),
+            nothing,
+            "not readable"
+        );
+        let read = || {
+            Some(LearnedCorrectionUpdate {
+                amounts: Some([10, 20, 30, 40, -50]),
+                notices: Vec::new(),
+            })
+        };
         assert_eq!(taught(Some(read), ours), [(1, 10), (2, 20), (3, 30), (4, 40), (5, -50)]);
         let looks = Cell::new(0);
         let gone = || match looks.replace(looks.get() + 1) {
             0 => read(),
-            _ => Some(LearnedUpdate::default()),
+            _ => Some(LearnedCorrectionUpdate::default()),
         };
         assert_eq!(taught(Some(gone), ours), taught(Some(read), ours), "a file that is gone");
         assert_eq!(taught(Some(read), other), nothing, "another calibration");

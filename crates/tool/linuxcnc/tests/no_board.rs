@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use trueup_linuxcnc::configuration::{
     OffsetEntryPoint,
-    boardless::BoardlessConfig,
+    boardless_config::BoardlessConfig,
     check::check,
     finding::{OffsetRequirements, Severity},
     hal_files::HalFiles,

@@ -135,16 +135,16 @@ fn write_steps(
                 let mut to = [None; 3];
                 to[*axis] = Some(*to_mm);
                 dialect.write_linear_move(
-                    &compute_move_targets(plan, &to, at_um),
+                    &advance_to_targets(plan, &to, at_um),
                     plan.approach_mm_per_min,
                 );
             }
             Step::Move { to_mm, feed_mm_per_min } => {
                 dialect
-                    .write_linear_move(&compute_move_targets(plan, to_mm, at_um), *feed_mm_per_min);
+                    .write_linear_move(&advance_to_targets(plan, to_mm, at_um), *feed_mm_per_min);
             }
             Step::Arc(arc) => {
-                if let Some(around) = compute_arc_blocks(arc, at_um) {
+                if let Some(around) = advance_along_arc(arc, at_um) {
                     dialect.write_arc(&around);
                 }
             }
@@ -174,7 +174,7 @@ fn write_steps(
     }
 }
 
-fn compute_move_targets(
+fn advance_to_targets(
     plan: &MeasurementPlan,
     to_mm: &[Option<f64>; 3],
     at_um: &mut [Option<i64>; 3],
@@ -206,7 +206,7 @@ fn build_result_row(plan: &MeasurementPlan, found: &ProbedPoint) -> Vec<Cell> {
 }
 
 /// Returns the blocks of an arc, and puts the axes to its end; `None` where it is not known from where it goes.
-fn compute_arc_blocks(arc: &ArcMove, at_um: &mut [Option<i64>; 3]) -> Option<ArcBlocks> {
+fn advance_along_arc(arc: &ArcMove, at_um: &mut [Option<i64>; 3]) -> Option<ArcBlocks> {
     let mut from = [at_um[arc.axes[0]]?, at_um[arc.axes[1]]?];
     let centre = arc.centre_mm.map(to_micrometres);
     let mut blocks = Vec::new();

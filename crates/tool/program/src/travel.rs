@@ -63,7 +63,7 @@ impl AxisTravel {
     }
 
     /// Returns the ends in the order in which the axis goes to them: the retracted one first.
-    pub(crate) fn ordered_ends_mm(&self) -> [f64; 2] {
+    pub(crate) fn ends_in_approach_order_mm(&self) -> [f64; 2] {
         self.arrange_in_approach_order([self.low_mm, self.high_mm])
     }
 
@@ -83,7 +83,7 @@ impl AxisTravel {
     /// Returns targets about `step_mm` apart over the inside, both ends included, rising.
     pub(crate) fn evenly_spaced_targets_mm(&self, step_mm: f64) -> Result<Vec<f64>, ProgramError> {
         let [low, high] = self.target_range_mm();
-        evenly_spaced_positions(low, high, step_mm).ok_or_else(|| {
+        evenly_spaced_positions_mm(low, high, step_mm).ok_or_else(|| {
             ProgramError(format!(
                 "--step-mm {step_mm} does not fit: {} may be sent from {low} to {high} mm, which gives \
                  2 to {MAX_TARGETS} targets",
@@ -93,7 +93,7 @@ impl AxisTravel {
     }
 
     /// Returns a place of this axis alone.
-    pub(crate) fn target_position(&self, mm: f64) -> [Option<f64>; 3] {
+    pub(crate) fn target_position_mm(&self, mm: f64) -> [Option<f64>; 3] {
         let mut to = [None; 3];
         to[self.axis.index()] = Some(round_to_micrometres(mm));
         to
@@ -104,7 +104,7 @@ impl AxisTravel {
 const MAX_TARGETS: usize = 2048;
 
 /// From `low` to `high` in steps of at most `step`; `None` where there are too many or no two.
-pub(crate) fn evenly_spaced_positions(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
+pub(crate) fn evenly_spaced_positions_mm(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
     // A step that fits but for rounding is no longer one.
     let steps = ((high - low) / step - 1e-9).ceil().max(1.0);
     if !(high > low && steps < MAX_TARGETS as f64) {

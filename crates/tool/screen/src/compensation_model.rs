@@ -16,7 +16,7 @@ use trueup_machine::{
 use trueup_store::calibration::{calibration_crc, decode};
 
 /// The laws of a machine, on their way through what is received.
-pub struct CompensationModel {
+pub(crate) struct CompensationModel {
     machine: Machine,
     model: ReferenceModel<'static>,
     crc: Option<u32>,
@@ -37,7 +37,7 @@ pub(crate) struct SensorReading {
 
 /// The share of one cause in the offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OffsetContribution {
+pub(crate) struct OffsetContribution {
     /// The cause, in the user's words.
     pub name: &'static str,
     /// On X, Y and Z in µm, what the CNC has to add; NaN where something is not known that it depends on.
@@ -100,7 +100,7 @@ impl CompensationModel {
 
     /// Returns what the sensor gives at this growth in µm; `None` where the board runs no law of a sensor.
     #[must_use]
-    pub(crate) fn sensor_reading(&self, growth_um: f64) -> Option<SensorReading> {
+    pub(crate) fn sensor_reading_from_elongation(&self, growth_um: f64) -> Option<SensorReading> {
         let input = self.machine.inputs.as_ref()?.sensor?;
         let counts = sensor_counts_from_elongation(self.machine.board_sensor_model()?, growth_um);
         Some(SensorReading {
@@ -200,7 +200,11 @@ impl CompensationModel {
             ("backlash", any_axis(|axis| axis.backlash.is_some()), parts.backlash_um),
             ("straightness", !machine.straightness.is_empty(), parts.straightness_um),
             ("squareness", !machine.squareness.is_empty(), parts.squareness_um),
-            ("angular and rotary errors", machine.volume.has_errors(), parts.volumetric_error_um),
+            (
+                "angular and rotary errors",
+                machine.volume.has_geometric_errors(),
+                parts.volumetric_error_um,
+            ),
             ("found causes", !machine.terms.is_empty(), parts.terms_um),
         ]
         .into_iter()
@@ -232,7 +236,7 @@ mod tests {
 
     #[test]
     fn the_papers_zero_is_5048_counts_627_codes_and_1_54_volts() {
-        let reading = laws(PAPER).sensor_reading(0.0).expect("it has a sensor");
+        let reading = laws(PAPER).sensor_reading_from_elongation(0.0).expect("it has a sensor");
         // 5048 of 32768 counts of 4096 codes, of which 10 V behind the divider are 3.28 of 3.3.
         let codes = 631.0 * 3.28 / 3.3;
         assert_eq!(reading.counts, Some(5048.0));
@@ -241,7 +245,7 @@ mod tests {
         // The board's own calibration knows the codes and not the counts.
         let blob = compile(&laws(PAPER).machine).expect("it fits").blob().to_vec();
         let board = CompensationModel::from_board_blob(&blob).expect("a calibration");
-        let same = board.sensor_reading(0.0).expect("it has a sensor");
+        let same = board.sensor_reading_from_elongation(0.0).expect("it has a sensor");
         assert!((same.codes - codes).abs() < 0.01 && same.counts.is_none(), "{same:?}");
         assert_eq!((board.crc(), board.machine_name()), (laws(PAPER).crc(), "paper"));
         assert!(CompensationModel::from_board_blob(&blob[1..]).is_none());

@@ -14,7 +14,7 @@ use ratatui::{
     },
 };
 use trueup_client::{
-    UnusableInput,
+    UnusableInputError,
     build::BuildVersion,
     connection::{BridgeConnection, ConnectionEvent},
     poll::{ObjectPoller, PollOutcome},
@@ -140,7 +140,7 @@ impl EventLoop {
         mut terminal: DefaultTerminal,
         theme: Theme,
         line: &BridgeConnection,
-        indicator: Option<&std::sync::mpsc::Receiver<crate::indicator::IndicatorReading>>,
+        indicator: Option<&std::sync::mpsc::Receiver<crate::indicator::IndicatorResult>>,
     ) -> Result<()> {
         let (mut sampled, mut drawn) = (None::<Instant>, None::<Instant>);
         loop {
@@ -154,7 +154,7 @@ impl EventLoop {
             let now = Instant::now();
             if sampled.is_none_or(|at| now - at >= SAMPLE_PERIOD) {
                 sampled = Some(now);
-                self.state.record_trend_sample(self.now_s());
+                self.state.sample_live_values(self.now_s());
                 self.send_due_requests(line, now);
             }
             if drawn.is_none_or(|at| now - at >= DRAW_PERIOD) {
@@ -186,7 +186,7 @@ impl EventLoop {
             for event in line.take_events() {
                 self.handle_connection_event(event, line)?;
             }
-            self.state.record_trend_sample(self.now_s());
+            self.state.sample_live_values(self.now_s());
             self.send_due_requests(line, Instant::now());
             std::thread::sleep(SAMPLE_PERIOD);
         }
@@ -230,7 +230,7 @@ impl EventLoop {
         if let Some(recorder) = &mut self.recorder {
             recorder.set_running_calibration(self.state.board.calibration);
             recorder.receive(frame, SystemTime::now())?;
-            self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
+            self.state.set_recording_counts(recorder.gauge_reading_count(), recorder.row_count());
         }
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
             self.state.show_message("the bridge has started anew");
@@ -261,7 +261,7 @@ impl EventLoop {
         if self.commit.is_running() {
             if let PollOutcome::Bytes(answer) = self.commit.receive(frame, now) {
                 let bridge = self.options.tool.with_commit(&answer);
-                if let Some(difference) = self.options.tool.difference(&bridge) {
+                if let Some(difference) = self.options.tool.describe_difference(&bridge) {
                     self.state.show_message(difference);
                 }
             }
@@ -335,7 +335,8 @@ impl EventLoop {
             Some(ScreenAction::Mark(um)) => {
                 if let Some(recorder) = &mut self.recorder {
                     recorder.record_gauge_reading(um);
-                    self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
+                    self.state
+                        .set_recording_counts(recorder.gauge_reading_count(), recorder.row_count());
                     self.state.record_gauge_reading(um);
                     self.state.show_message(format!("{um:+.2} µm written down; u takes it back"));
                 }
@@ -344,7 +345,8 @@ impl EventLoop {
                 if let Some(recorder) = &mut self.recorder
                     && let Some(um) = recorder.undo_gauge_reading()?
                 {
-                    self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
+                    self.state
+                        .set_recording_counts(recorder.gauge_reading_count(), recorder.row_count());
                     self.state.undo_gauge_reading();
                     self.state.show_message(format!("{um:+.2} µm taken out again"));
                 }
@@ -358,7 +360,7 @@ impl EventLoop {
         if self.options.is_strict
             && (expected.is_none() || self.state.board.calibration != expected)
         {
-            return Err(UnusableInput::OtherCalibration.into());
+            return Err(UnusableInputError::OtherCalibration.into());
         }
         // A second recording must not be written over the first.
         let path = self

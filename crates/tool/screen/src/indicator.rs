@@ -60,12 +60,12 @@ pub struct IndicatorConfig {
 }
 
 /// A reading in µm, or why there is none.
-pub type IndicatorReading = Result<f64, String>;
+pub type IndicatorResult = Result<f64, String>;
 
 impl IndicatorConfig {
     /// Listens until the receiver is dropped.
     #[must_use]
-    pub fn listen(self) -> Receiver<IndicatorReading> {
+    pub fn listen(self) -> Receiver<IndicatorResult> {
         let (sender, received) = mpsc::channel();
         thread::spawn(move || {
             loop {
@@ -100,7 +100,7 @@ impl IndicatorConfig {
     fn forward_readings(
         &self,
         line: Box<dyn Read + Send>,
-        sender: &Sender<IndicatorReading>,
+        sender: &Sender<IndicatorResult>,
     ) -> Option<String> {
         let mut reader = BufReader::new(line);
         let mut bytes = Vec::new();
@@ -152,7 +152,7 @@ fn read_until_line_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io:
 
 /// Returns what a line says, in µm; `None`: it is empty.
 #[must_use]
-pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<IndicatorReading> {
+pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<IndicatorResult> {
     if line.len() >= READING_LENGTH_LIMIT {
         return Some(Err(format!(
             "a line of {READING_LENGTH_LIMIT} characters and more is not a reading"

@@ -17,7 +17,7 @@ use trueup_machine::machine_file::Quantity;
 
 use crate::{
     compensation_model::{CompensationModel, LiveValues, OffsetContribution},
-    trend::{DIFFERENCE_SERIES_INDEX, TREND_SERIES_COUNT, TrendBuffer},
+    trend::{GAUGE_DIFFERENCE_INDEX, TREND_SERIES_COUNT, TrendBuffer},
 };
 
 /// Offsets older than this are not shown as being of now: 1 s is a thousand cycles.
@@ -63,7 +63,7 @@ pub(crate) enum ScreenAction {
 
 /// The line to the bridge.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LinkState {
+pub(crate) enum LinkState {
     /// It is being opened.
     Opening,
     /// It is open.
@@ -74,7 +74,7 @@ pub enum LinkState {
 
 /// Whose laws the screen uses.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ModelSource {
+pub(crate) enum ModelSource {
     /// No laws.
     None,
     /// The board's own calibration; this many percent of it have come.
@@ -87,7 +87,7 @@ pub enum ModelSource {
 
 /// The gauge that measures the machine while the bridge runs.
 #[derive(Clone, Debug)]
-pub struct GaugeState {
+pub(crate) struct GaugeState {
     /// The quantity that it measures.
     pub quantity: Quantity,
     /// It speaks to this computer; otherwise its readings are typed.
@@ -107,7 +107,7 @@ struct ReceptionTimes {
 }
 
 /// All that the screen knows.
-pub struct ScreenState {
+pub(crate) struct ScreenState {
     /// Where the bridge is, as the user wrote it.
     pub port: String,
     /// The line.
@@ -240,7 +240,7 @@ impl ScreenState {
     }
 
     /// Takes a sample for the trend, and the shares of this moment: a few times a second.
-    pub(crate) fn record_trend_sample(&mut self, now_s: f64) {
+    pub(crate) fn sample_live_values(&mut self, now_s: f64) {
         self.now_s = now_s;
         if now_s - self.counted_s >= 1.0 {
             self.frames_per_s = f64::from(self.frames) / (now_s - self.counted_s);
@@ -264,7 +264,7 @@ impl ScreenState {
         for (value, centi_c) in values[4..].iter_mut().zip(centi_c) {
             *value = centi_c.map_or(f64::NAN, |centi_c| f64::from(centi_c) / 100.0);
         }
-        values[DIFFERENCE_SERIES_INDEX] = self.difference_um().unwrap_or(f64::NAN);
+        values[GAUGE_DIFFERENCE_INDEX] = self.gauge_difference_um().unwrap_or(f64::NAN);
         self.trend.push(now_s, values);
     }
 
@@ -434,7 +434,7 @@ impl ScreenState {
 
     /// Returns the gauge minus the bridge, in µm, while the gauge's reading is of now.
     #[must_use]
-    pub fn difference_um(&self) -> Option<f64> {
+    pub(crate) fn gauge_difference_um(&self) -> Option<f64> {
         let (um, at_s) = self.gauge.latest?;
         (self.now_s - at_s <= MAX_GAUGE_AGE_S).then_some(um - self.bridge_value_um()?)
     }

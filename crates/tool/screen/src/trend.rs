@@ -7,11 +7,11 @@ pub(crate) const TREND_WINDOW_S: f64 = 300.0;
 /// The number of series: the growth, three offsets, eight temperatures, and the gauge minus the bridge.
 pub(crate) const TREND_SERIES_COUNT: usize = 13;
 /// The last of them.
-pub(crate) const DIFFERENCE_SERIES_INDEX: usize = 12;
+pub(crate) const GAUGE_DIFFERENCE_INDEX: usize = 12;
 
 /// A ring of samples.
 #[derive(Clone, Debug, Default)]
-pub struct TrendBuffer {
+pub(crate) struct TrendBuffer {
     samples: VecDeque<(f64, [f64; TREND_SERIES_COUNT])>,
     /// Readings of the gauge that were written down: when, and what, in µm.
     marks: VecDeque<(f64, f64)>,

@@ -36,7 +36,7 @@ const HELP_LINES: [&str; 11] = [
 
 /// How things are distinguished: by letters and weight always, by colour where it is allowed.
 #[derive(Clone, Copy, Debug)]
-pub struct Theme {
+pub(crate) struct Theme {
     /// Colours may be used.
     pub has_colour: bool,
 }
@@ -68,7 +68,7 @@ impl Theme {
 }
 
 /// Draws the whole screen.
-pub fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
+pub(crate) fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
     let area = frame.area();
     let width = area.width.into();
     let top = text_lines::status_lines(state, theme, width);

@@ -33,7 +33,7 @@ const IDENTITY_POLL_INTERVAL: Duration = Duration::from_secs(600);
 const IDENTITY_OBJECTS: [ObjectAddress; 3] =
     [sdo_object::SERIAL_NUMBER, sdo_object::MACHINE_NAME, sdo_object::SOFTWARE_VERSION];
 /// Maximum length of a name, in bytes.
-const MAX_NAME_BYTES: usize = 64;
+const MAX_IDENTITY_TEXT_BYTES: usize = 64;
 
 /// A bridge, as far as it is known.
 pub struct BridgeMonitor {
@@ -119,7 +119,8 @@ impl BridgeMonitor {
             PollOutcome::Request(request) => Some(request),
             PollOutcome::Bytes(bytes) => {
                 let text = || {
-                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME_BYTES)]);
+                    let text =
+                        String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_IDENTITY_TEXT_BYTES)]);
                     Some(escape_line(text.trim_end_matches('\0'))).filter(|text| !text.is_empty())
                 };
                 match running {

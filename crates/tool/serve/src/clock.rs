@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// A clock that differs from the one that only advances by more than this was set.
-const MIN_CLOCK_STEP_MS: i64 = 1_000;
+const CLOCK_STEP_THRESHOLD_MS: i64 = 1_000;
 
 /// Returns the time of day in ms since 1970 (UTC).
 #[must_use]
@@ -42,7 +42,7 @@ impl ClockStepDetector {
         let passed = now.saturating_duration_since(self.start).as_millis();
         let expected = i64::try_from(passed).ok()?.checked_add_unsigned(self.start_ms)?;
         let step = i64::try_from(now_ms).ok()? - expected;
-        if step.abs() <= MIN_CLOCK_STEP_MS {
+        if step.abs() <= CLOCK_STEP_THRESHOLD_MS {
             return None;
         }
         *self = Self::new(now, now_ms);

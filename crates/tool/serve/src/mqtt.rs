@@ -34,7 +34,7 @@ use crate::{
 /// From one publication of values that have changed to the next.
 const PUBLISH_PERIOD: Duration = Duration::from_secs(1);
 /// The same where a word has changed: a fault, a quality, a calibration.
-const MIN_STATE_CHANGE_INTERVAL: Duration = Duration::from_millis(100);
+const MIN_STATE_PUBLISH_INTERVAL: Duration = Duration::from_millis(100);
 /// From one look at what is to be sent to the next.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Records that wait for their acknowledgement at most.
@@ -200,12 +200,12 @@ impl BrokerSession<'_> {
             let is_state = host.update_state(&message.payload).is_some();
             self.is_birth_requested |= host.is_online() && !self.is_born;
             if !is_state {
-                self.count_malformed(topic);
+                self.count_malformed_message(topic);
             }
         } else if topic == sparkplug::topic("NCMD", &self.publisher.name, None) {
             match sparkplug::is_rebirth_command(&message.payload) {
                 Some(is_requested) => self.is_birth_requested |= is_requested && self.is_born,
-                None => self.count_malformed(topic),
+                None => self.count_malformed_message(topic),
             }
         } else if topic.contains("BIRTH/") {
             self.report_duplicate_publisher(topic, &message.payload);
@@ -225,7 +225,7 @@ impl BrokerSession<'_> {
         ));
     }
 
-    fn count_malformed(&self, topic: &str) {
+    fn count_malformed_message(&self, topic: &str) {
         if self.shared.counts().hostile.fetch_add(1, Ordering::Relaxed) == 0 {
             (self.publisher.report)(&format!(
                 "warning: a message on {topic} is no payload of Sparkplug; it is ignored, and \
@@ -239,13 +239,16 @@ impl BrokerSession<'_> {
         let now = Instant::now();
         let may_be_born = self.born_at.is_none_or(|at| now - at >= MIN_REBIRTH_INTERVAL);
         if self.is_birth_requested && may_be_born {
-            let messages =
-                node.rebirth(self.node_statistics(), &self.shared.snapshots(), clock::now_ms());
+            let messages = node.build_rebirth_messages(
+                self.node_statistics(),
+                &self.shared.snapshots(),
+                clock::now_ms(),
+            );
             (self.is_born, self.is_birth_requested, self.born_at) = (true, false, Some(now));
             (self.published_at, self.looked_at) = (now, now);
             self.send_messages(connection, messages);
             self.shared.counts().is_online.store(true, Ordering::Relaxed);
-        } else if self.is_born && now - self.looked_at >= MIN_STATE_CHANGE_INTERVAL {
+        } else if self.is_born && now - self.looked_at >= MIN_STATE_PUBLISH_INTERVAL {
             self.looked_at = now;
             let bridges = self.shared.snapshots();
             let is_due = now - self.published_at >= PUBLISH_PERIOD;
@@ -259,7 +262,7 @@ impl BrokerSession<'_> {
             }
         }
         while self.is_born
-            && self.open.len() + connection.unsent_count() < MAX_UNACKNOWLEDGED_RECORDS
+            && self.open.len() + connection.unsent_request_count() < MAX_UNACKNOWLEDGED_RECORDS
         {
             let Some(record) = self.shared.lock_spool().next_unsent_record(now) else { break };
             let number = record.number;

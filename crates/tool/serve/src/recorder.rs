@@ -13,12 +13,12 @@ use crate::{
     clock::ClockStepDetector,
     shared_state::SharedState,
     snapshot::{BridgeEvent, BridgeSnapshot, detect_events},
-    sparkplug::{device_id, event_record, snapshot_record},
+    sparkplug::{build_event_record, build_snapshot_record, device_id},
     spool::NewRecord,
 };
 
 /// Rows and events that wait for a disk that is full, for each bridge.
-const MAX_PENDING_ENTRIES: usize = 600;
+const MAX_PENDING_ENTRIES_PER_BRIDGE: usize = 600;
 /// After a disk took nothing it is tried again.
 const WRITE_RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -80,7 +80,7 @@ impl Recorder {
         if self.is_recording {
             for (place, it) in &happened {
                 let device = device(*place);
-                self.pending.push_back(event_record(
+                self.pending.push_back(build_event_record(
                     &self.node,
                     device.as_deref(),
                     it.clone(),
@@ -92,7 +92,7 @@ impl Recorder {
                 for (place, bridge) in bridges.iter().enumerate().filter(|(_, bridge)| bridge.is_up)
                 {
                     let device = device(place);
-                    self.pending.push_back(snapshot_record(
+                    self.pending.push_back(build_snapshot_record(
                         &self.node,
                         device.as_deref(),
                         bridge,
@@ -130,7 +130,7 @@ impl Recorder {
                 }
             }
         }
-        let max = MAX_PENDING_ENTRIES * self.before.len().max(1);
+        let max = MAX_PENDING_ENTRIES_PER_BRIDGE * self.before.len().max(1);
         let over = self.pending.len().saturating_sub(max);
         self.pending.drain(..over);
         shared.counts().not_recorded.fetch_add(over as u64, Ordering::Relaxed);

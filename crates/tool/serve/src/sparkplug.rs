@@ -53,7 +53,7 @@ pub(crate) fn device_id(serial: u32) -> String {
 
 /// Returns a metric with its name.
 #[must_use]
-pub(crate) fn named_metric(name: &str, value: &MetricValue, time_ms: u64) -> payload::Metric {
+pub(crate) fn build_named_metric(name: &str, value: &MetricValue, time_ms: u64) -> payload::Metric {
     let mut metric = payload::Metric::new();
     metric.set_name(name.to_owned()).set_timestamp(time_ms);
     let datatype = match value {
@@ -75,8 +75,8 @@ pub(crate) fn named_metric(name: &str, value: &MetricValue, time_ms: u64) -> pay
 
 /// Returns a metric of a birth: name, alias, unit.
 #[must_use]
-pub(crate) fn birth_metric(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
-    let mut birth_metric = named_metric(metric.name, &metric.value, time_ms);
+pub(crate) fn build_birth_metric(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
+    let mut birth_metric = build_named_metric(metric.name, &metric.value, time_ms);
     birth_metric.set_alias(alias);
     if !metric.unit.is_empty() {
         let unit = PropertyValue {
@@ -149,7 +149,7 @@ pub(crate) fn is_rebirth_command(bytes: &[u8]) -> Option<bool> {
 
 /// Returns an event to be recorded.
 #[must_use]
-pub(crate) fn event_record(
+pub(crate) fn build_event_record(
     node: &str,
     device: Option<&str>,
     event: BridgeEvent,
@@ -157,7 +157,7 @@ pub(crate) fn event_record(
 ) -> NewRecord {
     let payload = move |id: &str| {
         let text = |name, text: &str| {
-            named_metric(name, &MetricValue::Text(Some(text.to_owned())), time_ms)
+            build_named_metric(name, &MetricValue::Text(Some(text.to_owned())), time_ms)
         };
         let metrics = vec![text("Event/Code", event.code), text("Event/About", &event.about)];
         encode_payload(metrics, time_ms, None, Some(id))
@@ -168,7 +168,7 @@ pub(crate) fn event_record(
 
 /// Returns a row of what a bridge does at a moment, to be recorded: all that is known.
 #[must_use]
-pub(crate) fn snapshot_record(
+pub(crate) fn build_snapshot_record(
     node: &str,
     device: Option<&str>,
     of: &BridgeSnapshot,
@@ -179,8 +179,10 @@ pub(crate) fn snapshot_record(
         !matches!(metric.value, MetricValue::Number(None) | MetricValue::Text(None))
     });
     let payload = move |id: &str| {
-        let metrics =
-            known.iter().map(|metric| named_metric(metric.name, &metric.value, time_ms)).collect();
+        let metrics = known
+            .iter()
+            .map(|metric| build_named_metric(metric.name, &metric.value, time_ms))
+            .collect();
         encode_payload(metrics, time_ms, None, Some(id))
     };
     let topic = non_sparkplug_topic(node, device, "record");
@@ -193,7 +195,7 @@ mod tests {
 
     #[test]
     fn a_record_is_read_as_it_was_made() {
-        let made = event_record("n", None, BridgeEvent::new("quality", "live"), 1_000);
+        let made = build_event_record("n", None, BridgeEvent::new("quality", "live"), 1_000);
         let read = payload_to_json(&(made.payload)("00000000000000ff-7")).expect("a payload");
         let expected = serde_json::json!({
             "id": "00000000000000ff-7",

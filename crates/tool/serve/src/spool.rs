@@ -38,10 +38,10 @@ pub(crate) const RETENTION_TIME: Duration = Duration::from_secs(60);
 /// A file that cannot be read is tried again for this long.
 const READ_RETRY_TIMEOUT: Duration = Duration::from_secs(60);
 /// A file that has reached this length is followed by a new one.
-const MAX_SEGMENT_BYTES: u64 = 1 << 20;
+const SEGMENT_ROLLOVER_BYTES: u64 = 1 << 20;
 const SEGMENT_EXTENSION: &str = "spool";
 /// The folder of bytes and files that could not be sent.
-const DAMAGED_FOLDER: &str = "damaged";
+const DAMAGED_FOLDER_NAME: &str = "damaged";
 const SETTLED_FILE_NAME: &str = "settled";
 
 /// Makes the payload of the record with an identifier.
@@ -87,12 +87,12 @@ struct SpoolSegment {
 }
 
 impl SpoolSegment {
-    /// Removes the file, or moves it into [`DAMAGED_FOLDER`] if it has records that were never sent.
+    /// Removes the file, or moves it into [`DAMAGED_FOLDER_NAME`] if it has records that were never sent.
     fn remove(&self) {
         if self.has_lost
             && let Some((folder, name)) = self.path.parent().zip(self.path.file_name())
         {
-            let copies = folder.join(DAMAGED_FOLDER);
+            let copies = folder.join(DAMAGED_FOLDER_NAME);
             fs::create_dir_all(&copies).ok();
             fs::rename(&self.path, copies.join(name)).ok();
         } else {
@@ -149,14 +149,14 @@ impl Spool {
         });
         names.sort();
         for path in names {
-            let Some((first, id)) = parse_file_name(&path) else { continue };
+            let Some((first, id)) = parse_segment_file_name(&path) else { continue };
             let bytes = fs::read(&path)?;
             let (entries, gaps) = scan(id, &bytes);
             for gap in gaps.iter().filter(|gap| {
                 // Damage among settled records needs no report.
                 gap.after.is_none_or(|after| after.number > self.settled + 1)
             }) {
-                let copy = self.folder.join(DAMAGED_FOLDER);
+                let copy = self.folder.join(DAMAGED_FOLDER_NAME);
                 fs::create_dir_all(&copy)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
                 let copy = copy.join(format!("{name}-{}.bin", gap.at));
@@ -182,7 +182,7 @@ impl Spool {
             return Ok(());
         }
         if self.active.is_none()
-            || self.segments.back().is_none_or(|segment| segment.bytes >= MAX_SEGMENT_BYTES)
+            || self.segments.back().is_none_or(|segment| segment.bytes >= SEGMENT_ROLLOVER_BYTES)
         {
             self.create_segment()?;
         }
@@ -286,7 +286,7 @@ impl Spool {
                 }
             };
             segment.has_lost = true;
-            self.reports.push(SpoolReport::unreadable(&segment.path, entry, why.as_ref()));
+            self.reports.push(SpoolReport::unreadable_record(&segment.path, entry, why.as_ref()));
             self.sent = entry.number;
             self.acknowledge(entry.number, now);
         }
@@ -376,7 +376,7 @@ fn read_record(segment: &SpoolSegment, entry: IndexEntry) -> io::Result<Option<S
 }
 
 /// Returns the first number and the identifier that a file's name has.
-fn parse_file_name(path: &Path) -> Option<(u64, u64)> {
+fn parse_segment_file_name(path: &Path) -> Option<(u64, u64)> {
     let (first, id) = path.file_stem()?.to_str()?.split_once('-')?;
     Some((first.parse().ok()?, u64::from_str_radix(id, 16).ok()?))
 }

@@ -15,7 +15,7 @@ use trueup_store::{
 
 use crate::{
     sensor::SensorScale,
-    servo::{ComponentOutputs, Joint, Servo, ServoError, ServoInputs, ServoSettings},
+    servo::{ComponentOutputs, Joint, ServoBridge, ServoError, ServoInputs, ServoSettings},
 };
 
 /// Bytes of memory of a bridge.
@@ -26,8 +26,8 @@ pub const BRIDGE_MEMORY_ALIGNMENT: usize = 16;
 pub(crate) const RETAINED_BYTES: usize = 2 * RETAINED_COPY_SIZE;
 const _: () = assert!(RETAINED_BYTES == mem::size_of::<RetainedCopies>());
 const _: () = assert!(
-    mem::size_of::<Servo>() <= BRIDGE_MEMORY_BYTES
-        && mem::align_of::<Servo>() <= BRIDGE_MEMORY_ALIGNMENT
+    mem::size_of::<ServoBridge>() <= BRIDGE_MEMORY_BYTES
+        && mem::align_of::<ServoBridge>() <= BRIDGE_MEMORY_ALIGNMENT
 );
 
 /// [`ServoSettings`] in C.
@@ -222,20 +222,24 @@ pub unsafe extern "C" fn trueup_servo_start(
     settings: *const CSettings,
     period_ns: u64,
 ) -> i32 {
-    let place = memory.cast::<Servo>();
-    if place.is_null() || !place.is_aligned() || size < mem::size_of::<Servo>() || blob.is_null() {
+    let place = memory.cast::<ServoBridge>();
+    if place.is_null()
+        || !place.is_aligned()
+        || size < mem::size_of::<ServoBridge>()
+        || blob.is_null()
+    {
         return error_code::MEMORY_MISMATCH;
     }
     // SAFETY: not null; the caller's word for the rest.
     let (blob, settings) = unsafe { (slice::from_raw_parts(blob, length), settings.as_ref()) };
     let Some(settings) = settings else { return error_code::MEMORY_MISMATCH };
-    match Servo::new(blob, &settings.to_settings(), period_ns) {
+    match ServoBridge::new(blob, &settings.to_settings(), period_ns) {
         // SAFETY: aligned and large enough, as looked at above; the memory is the bridge's own.
         Ok(servo) => unsafe {
             ptr::write(place, servo);
             0
         },
-        Err(refusal) => error_code::from_refusal(&refusal),
+        Err(refusal) => error_code::from_servo_error(&refusal),
     }
 }
 
@@ -251,7 +255,7 @@ pub unsafe extern "C" fn trueup_servo_step(
     period_ns: u64,
 ) -> i32 {
     // SAFETY: the caller's word; null is looked at.
-    let all = unsafe { (memory.cast::<Servo>().as_mut(), inputs.as_ref(), outputs.as_mut()) };
+    let all = unsafe { (memory.cast::<ServoBridge>().as_mut(), inputs.as_ref(), outputs.as_mut()) };
     let (Some(servo), Some(inputs), Some(outputs)) = all else {
         return error_code::MEMORY_MISMATCH;
     };
@@ -260,7 +264,7 @@ pub unsafe extern "C" fn trueup_servo_step(
             *outputs = COutputs::from_outputs(&all, servo.nm_per_unit());
             0
         }
-        Err(refusal) => error_code::from_refusal(&refusal),
+        Err(refusal) => error_code::from_servo_error(&refusal),
     }
 }
 
@@ -272,8 +276,9 @@ pub unsafe extern "C" fn trueup_servo_step(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8, now_s: u32) {
     // SAFETY: the caller's word; null is looked at. Copies are bytes, which need no alignment.
-    let all =
-        unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<RetainedCopies>().as_ref()) };
+    let all = unsafe {
+        (memory.cast::<ServoBridge>().as_mut(), copies.cast::<RetainedCopies>().as_ref())
+    };
     if let (Some(servo), Some(copies)) = all {
         servo.resume(copies, (now_s != 0).then_some(now_s));
     }
@@ -286,8 +291,9 @@ pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8,
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn trueup_servo_retain(memory: *mut u8, copies: *mut u8) -> i32 {
     // SAFETY: as above.
-    let all =
-        unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<RetainedCopies>().as_mut()) };
+    let all = unsafe {
+        (memory.cast::<ServoBridge>().as_mut(), copies.cast::<RetainedCopies>().as_mut())
+    };
     let (Some(servo), Some(copies)) = all else { return 0 };
     i32::from(servo.save_retained_state(copies))
 }
@@ -305,7 +311,7 @@ mod error_code {
 
     pub const MEMORY_MISMATCH: i32 = 1;
 
-    pub fn from_refusal(refusal: &ServoError) -> i32 {
+    pub fn from_servo_error(refusal: &ServoError) -> i32 {
         match refusal {
             ServoError::Period(_) => 2,
             ServoError::Calibration(error) => match error {

@@ -26,4 +26,4 @@ pub mod temperature;
 #[cfg(test)]
 extern crate std;
 
-pub use servo::{ComponentOutputs, Servo, ServoInputs, ServoSettings};
+pub use servo::{ComponentOutputs, ServoBridge, ServoInputs, ServoSettings};

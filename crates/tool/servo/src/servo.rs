@@ -146,7 +146,7 @@ pub enum ServoError {
 
 /// The node and the component, between two servo periods.
 #[derive(Debug)]
-pub struct Servo {
+pub struct ServoBridge {
     node: Node<'static>,
     component: Component,
     settings: ServoSettings,
@@ -175,13 +175,13 @@ pub struct Servo {
 ///
 /// # Errors
 /// [`ServoError::Period`].
-pub(crate) fn supported_period_us(period_ns: u64) -> Result<u64, ServoError> {
+pub(crate) fn find_supported_period_us(period_ns: u64) -> Result<u64, ServoError> {
     let near =
         |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= SERVO_PERIOD_TOLERANCE_NS;
     SUPPORTED_SERVO_PERIODS_US.iter().find(near).copied().ok_or(ServoError::Period(period_ns))
 }
 
-impl Servo {
+impl ServoBridge {
     /// Returns a bridge that has just been switched on.
     ///
     /// # Errors
@@ -191,7 +191,7 @@ impl Servo {
         settings: &ServoSettings,
         period_ns: u64,
     ) -> Result<Self, ServoError> {
-        let period_us = supported_period_us(period_ns)?;
+        let period_us = find_supported_period_us(period_ns)?;
         let blob = calibration::validate_blob(blob).map_err(ServoError::Calibration)?;
         let law = calibration::decode(blob).map_err(ServoError::Calibration)?;
         let mut channels = [ChannelConversion::Unused; TEMPERATURE_CHANNEL_COUNT];
@@ -309,7 +309,7 @@ impl Servo {
         inputs: &ServoInputs,
         period_ns: u64,
     ) -> Result<ComponentOutputs, ServoError> {
-        let period_us = supported_period_us(period_ns)?;
+        let period_us = find_supported_period_us(period_ns)?;
         self.sample_inputs(inputs, period_us);
         let now = Duration::from_micros(self.now_us);
         let position =
@@ -365,8 +365,11 @@ impl Servo {
             .zip(&inputs.temperature_c)
             .nth(self.turn)
         {
-            *place =
-                if is_late { RawTemperatureReading::NONE } else { channel.raw_reading(*celsius) };
+            *place = if is_late {
+                RawTemperatureReading::NONE
+            } else {
+                channel.raw_reading_from_celsius(*celsius)
+            };
         }
         let input = TickInput {
             codes: self.samples.codes(),

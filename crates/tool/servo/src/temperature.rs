@@ -54,7 +54,7 @@ impl ChannelConversion {
 
     /// Returns what the thermometer delivers at a temperature; nothing where that is not a number.
     #[must_use]
-    pub(crate) fn raw_reading(&self, celsius: f64) -> RawTemperatureReading {
+    pub(crate) fn raw_reading_from_celsius(&self, celsius: f64) -> RawTemperatureReading {
         if !celsius.is_finite() || celsius.abs() > MAX_ABS_TEMPERATURE_C {
             return RawTemperatureReading::NONE;
         }
@@ -91,8 +91,9 @@ mod tests {
             let channel = ChannelConversion::from_thermometer(Some(&thermometer));
             for step in 0..10_000 {
                 let celsius = from + (to - from) * f64::from(step) / 10_000.0;
-                let read =
-                    thermometer.convert(channel.raw_reading(celsius)).expect("a temperature");
+                let read = thermometer
+                    .convert(channel.raw_reading_from_celsius(celsius))
+                    .expect("a temperature");
                 let mk = f64::from(read.0) / f64::from(Temperature::PER_MILLIKELVIN);
                 assert!(
                     (mk - celsius * 1e3).abs() <= within_mk,
@@ -108,15 +109,16 @@ mod tests {
             [ChannelConversion::Pt100, ChannelConversion::Linear { zero: 0.0, per_kelvin: 1.0 }]
         {
             for celsius in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e9, -1e9] {
-                assert_eq!(channel.raw_reading(celsius), RawTemperatureReading::NONE);
+                assert_eq!(channel.raw_reading_from_celsius(celsius), RawTemperatureReading::NONE);
             }
         }
         assert_eq!(
-            ChannelConversion::from_thermometer(None).raw_reading(20.0),
+            ChannelConversion::from_thermometer(None).raw_reading_from_celsius(20.0),
             RawTemperatureReading::NONE
         );
         assert_eq!(
-            ChannelConversion::Linear { zero: 0.0, per_kelvin: -1e9 }.raw_reading(999.0),
+            ChannelConversion::Linear { zero: 0.0, per_kelvin: -1e9 }
+                .raw_reading_from_celsius(999.0),
             RawTemperatureReading(i32::MIN + 1)
         );
     }

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use trueup_link::status::StateBits;
 use trueup_machine::{MachineFile, compile};
-use trueup_servo::{ComponentOutputs, Servo, ServoInputs, ServoSettings, sensor::SensorScale};
+use trueup_servo::{
+    ComponentOutputs, ServoBridge, ServoInputs, ServoSettings, sensor::SensorScale,
+};
 use trueup_store::retained_state::{RETAINED_COPY_SIZE, RetainedCopies};
 
 /// A spindle that grows by 80 µm in some minutes, and a thermometer.
@@ -30,7 +32,7 @@ cold_within_c = 0.5
 const PERIOD_NS: u64 = 1_000_000;
 const NOW_S: u32 = 1_700_000_000;
 
-fn servo(blob: &'static [u8]) -> Servo {
+fn servo(blob: &'static [u8]) -> ServoBridge {
     let settings = ServoSettings {
         mm_per_unit: 1.0,
         sensor: SensorScale { codes_per_v: 407.0, resolution_v: 0.0003 },
@@ -41,12 +43,12 @@ fn servo(blob: &'static [u8]) -> Servo {
         joints: [None; 9],
         temperature_timeout_ms: 0,
     };
-    Servo::new(blob, &settings, PERIOD_NS).expect("starts")
+    ServoBridge::new(blob, &settings, PERIOD_NS).expect("starts")
 }
 
 /// Runs for a number of seconds, and returns the last outputs.
 fn live(
-    servo: &mut Servo,
+    servo: &mut ServoBridge,
     copies: &mut RetainedCopies,
     rpm: f64,
     seconds: u32,

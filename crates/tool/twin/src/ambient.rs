@@ -47,14 +47,14 @@ impl Default for AmbientConfig {
 
 /// The air on its way through a run.
 #[derive(Clone, Debug)]
-pub struct Ambient {
+pub struct AmbientAir {
     config: AmbientConfig,
     stream: RandomStream,
     time_s: f64,
     wander_c: f64,
 }
 
-impl Ambient {
+impl AmbientAir {
     /// At the start of the run.
     #[must_use]
     pub fn new(config: &AmbientConfig, mut stream: RandomStream) -> Self {
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn the_day_is_warmest_at_its_hour_and_coldest_half_a_day_later() {
         let config = AmbientConfig { amplitude_c: 3.0, warmest_h: 5.0, ..Default::default() };
-        let mut ambient = Ambient::new(&config, RandomStream::new(1, "ambient"));
+        let mut ambient = AmbientAir::new(&config, RandomStream::new(1, "ambient"));
         assert!((ambient.step(5.0 * 3600.0) - 23.0).abs() < 1e-9);
         assert!((ambient.step(12.0 * 3600.0) - 17.0).abs() < 1e-9);
     }
@@ -102,7 +102,7 @@ mod tests {
     fn the_wander_has_its_size_at_every_step_length() {
         for dt_s in [10.0, 600.0] {
             let config = AmbientConfig { wander_c: 0.5, wander_s: 300.0, ..Default::default() };
-            let mut ambient = Ambient::new(&config, RandomStream::new(3, "ambient"));
+            let mut ambient = AmbientAir::new(&config, RandomStream::new(3, "ambient"));
             let apart: Vec<f64> = (0..40_000).map(|_| ambient.step(dt_s) - 20.0).collect();
             assert!((crate::noise::rms(&apart) / 0.5 - 1.0).abs() < 0.06, "{dt_s} s");
         }

@@ -12,7 +12,7 @@
 //! whatever it has just commanded.
 
 use crate::{
-    ambient::Ambient,
+    ambient::AmbientAir,
     axes::{AxisName, SimulatedAxes},
     noise::RandomStream,
     rigid_bodies::{self, Body},
@@ -42,7 +42,7 @@ pub struct DriveCommand {
 #[derive(Clone, Debug)]
 pub struct SimulatedMachine {
     time_s: f64,
-    ambient: Ambient,
+    ambient: AmbientAir,
     coolant: CoolantConfig,
     spindle: Option<SimulatedSpindle>,
     tools: Vec<ToolConfig>,
@@ -63,7 +63,7 @@ impl SimulatedMachine {
     /// under `seed`.
     #[must_use]
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
-        let ambient = Ambient::new(&scenario.ambient, RandomStream::new(seed, "ambient"));
+        let ambient = AmbientAir::new(&scenario.ambient, RandomStream::new(seed, "ambient"));
         let start_c = scenario.start_c.unwrap_or(ambient.temperature_c());
         let [x, y, z] = scenario.tool_direction;
         let length = (x * x + y * y + z * z).sqrt();
@@ -124,7 +124,7 @@ impl SimulatedMachine {
 
     /// Returns the counts that the displacement sensor shows now: NaN where one is missing, `None` without
     /// a sensor. Each call is a reading of its own, with noise of its own.
-    pub fn sensor_counts(&mut self) -> Option<f64> {
+    pub fn read_sensor_counts(&mut self) -> Option<f64> {
         let coil_c =
             self.spindle.as_ref().map_or(f64::NAN, |spindle| spindle.temperatures().coil_c);
         let turns = self.command.spindle_rpm != 0.0;
@@ -132,14 +132,14 @@ impl SimulatedMachine {
     }
 
     /// Returns the same as the voltage at the sensor's output, which is 10 V at its full scale.
-    pub fn sensor_volts(&mut self) -> Option<f64> {
+    pub fn read_sensor_volts(&mut self) -> Option<f64> {
         let full_scale = self.sensor.as_ref()?.full_scale_counts();
-        self.sensor_counts().map(|counts| counts * 10.0 / full_scale)
+        self.read_sensor_counts().map(|counts| counts * 10.0 / full_scale)
     }
 
     /// Returns what the thermometers show now, in °C, by the names of their columns; NaN where missing.
     /// Each call is a reading of its own.
-    pub fn temperatures_c(&mut self) -> Vec<(&str, f64)> {
+    pub fn read_temperatures_c(&mut self) -> Vec<(&str, f64)> {
         let all = self.thermometers.iter_mut();
         all.map(|(column, thermometer)| (column.as_str(), thermometer.read())).collect()
     }

@@ -146,7 +146,12 @@ impl Body {
     }
 
     /// Returns what the body's axis does to all that is on it.
-    fn transform(&self, position_mm: [f64; 3], angle_deg: [f64; 3], is_perfect: bool) -> Transform {
+    fn axis_transform(
+        &self,
+        position_mm: [f64; 3],
+        angle_deg: [f64; 3],
+        is_perfect: bool,
+    ) -> Transform {
         let way = if self.workpiece { -1.0 } else { 1.0 };
         let to = Transform::from_translation(self.at_mm);
         let back = Transform::from_translation(self.at_mm.map(|mm| -mm));
@@ -188,7 +193,7 @@ pub fn error_um(
     }
     let branch = |is_perfect: bool, of_workpiece: bool| {
         let own = bodies.iter().filter(|body| body.workpiece == of_workpiece);
-        let own = own.map(|body| body.transform(position_mm, angle_deg, is_perfect));
+        let own = own.map(|body| body.axis_transform(position_mm, angle_deg, is_perfect));
         let mut from_bed: Vec<Transform> = own.collect();
         if of_workpiece {
             from_bed.reverse();

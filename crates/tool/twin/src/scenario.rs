@@ -17,7 +17,7 @@ use crate::{
     path::{Segment, distance_mm},
     rigid_bodies::{self, Body},
     rotary_head,
-    scenario_error::{RuleViolation, find_non_finite, key_offset, line_and_column},
+    scenario_error::{RuleViolation, find_key_offset, find_non_finite, line_and_column},
     sensors::{DisplacementConfig, Spot, ThermometerConfig},
     spindle::SpindleConfig,
     tool::{self, ToolConfig},
@@ -179,7 +179,7 @@ impl Scenario {
             bad(error.span().map_or(0, |span| span.start), error.message().to_string())
         })?;
         scenario.check().map_err(|broken| {
-            let offset = key_offset(document.get_ref(), &broken.key);
+            let offset = find_key_offset(document.get_ref(), &broken.key);
             bad(offset, format!("{} {}", broken.key, broken.rule))
         })?;
         Ok(scenario)

@@ -85,7 +85,7 @@ pub(crate) fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
 }
 
 /// Where the dotted `key` stands, else the nearest section around it: `segment[2].axis`.
-pub(crate) fn key_offset(document: &DeTable<'_>, key: &str) -> usize {
+pub(crate) fn find_key_offset(document: &DeTable<'_>, key: &str) -> usize {
     let mut offset = 0;
     let mut table = document;
     for part in key.split('.') {

@@ -25,7 +25,7 @@ pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> R
     for leg in &legs {
         run.simulate_leg(leg);
         if let Some(number) = leg.row_of_run {
-            run.write_row(number, leg, &mut table);
+            run.append_row(number, leg, &mut table);
             row_done();
         }
     }
@@ -82,10 +82,10 @@ impl<'s> Simulation<'s> {
     }
 
     /// Writes one row: what is measured at the end of `leg`.
-    fn write_row(&mut self, run: u32, leg: &PathLeg, table: &mut RunTable) {
+    fn append_row(&mut self, run: u32, leg: &PathLeg, table: &mut RunTable) {
         table.push_value("time_s", 3, self.machine.time_s());
         table.push_value("run", 0, f64::from(run));
-        if let Some(counts) = self.machine.sensor_counts() {
+        if let Some(counts) = self.machine.read_sensor_counts() {
             table.push_value("sensor_counts", 0, counts);
         }
         if self.machine.has_spindle() {
@@ -95,7 +95,7 @@ impl<'s> Simulation<'s> {
         if self.has_tools {
             table.push_value("tool", 0, leg.tool.into());
         }
-        for (column, shown_c) in self.machine.temperatures_c() {
+        for (column, shown_c) in self.machine.read_temperatures_c() {
             // Four decimals hold a sixteenth of a kelvin exactly.
             table.push_value(column, 4, shown_c);
         }

@@ -136,13 +136,13 @@ impl VirtualBoard {
         let bytes = blocks.iter().map(Block::encode).collect::<Result<Vec<_>, _>>()?.concat();
         let rung = self.samples.write_all(&bytes).and_then(|()| self.doorbell.write_all(&[count]));
         if rung.is_err() {
-            return Err(self.qemu.channel_error("the board no longer takes samples"));
+            return Err(self.qemu.diagnose_channel_error("the board no longer takes samples"));
         }
         let mut sent = Vec::with_capacity(blocks.len() * 3);
         loop {
             let mut bytes = [0; RECORD_SIZE];
             if self.frames.read_exact(&mut bytes).is_err() {
-                return Err(self.qemu.channel_error("the board no longer sends frames"));
+                return Err(self.qemu.diagnose_channel_error("the board no longer sends frames"));
             }
             match BoardRecord::decode(&bytes).context("the board sent a broken record")? {
                 BoardRecord::Frame { time, frame } => sent.push((time, frame)),
@@ -159,7 +159,7 @@ impl VirtualBoard {
     fn wait_for_boot(&mut self) -> Result<()> {
         let mut ready = [0];
         if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
-            return Err(self.qemu.channel_error("the board does not come up"));
+            return Err(self.qemu.diagnose_channel_error("the board does not come up"));
         }
         Ok(())
     }
@@ -177,7 +177,7 @@ impl VirtualBoard {
     ///
     /// # Errors
     /// The socket cannot be shared.
-    pub fn buffered_serial(&self) -> Result<BufferedSerial> {
+    pub fn open_buffered_serial(&self) -> Result<BufferedSerial> {
         let (sender, received) = mpsc::channel();
         let mut source = self.try_clone_serial()?;
         thread::spawn(move || {

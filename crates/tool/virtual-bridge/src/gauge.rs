@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result};
 use trueup_core::cnc::Output;
 use trueup_machine::{Machine, machine_file::MachineKind};
 
-use crate::plant::PlantResponse;
+use crate::plant::BoardResponse;
 
 /// From one value to the next.
 const GAUGE_SEND_PERIOD: Duration = Duration::from_millis(100);
@@ -53,10 +53,10 @@ impl SimulatedGauge {
             *shown = None;
             return;
         };
-        let moved_um = match output.map(PlantResponse::from) {
+        let moved_um = match output.map(BoardResponse::from) {
             // No frame has come: the axis stands where it stood.
             None => shown.map_or(0.0, |components| components.moved_um),
-            Some(PlantResponse { offset_um, .. }) => {
+            Some(BoardResponse { offset_um, .. }) => {
                 let along = offset_um.iter().zip(self.tool_direction);
                 along.map(|(offset, direction)| offset.unwrap_or(0.0) * direction).sum()
             }

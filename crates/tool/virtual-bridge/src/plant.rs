@@ -35,7 +35,7 @@ struct PlantStep {
 
 /// The board's answer to the plant.
 #[derive(Debug, Default, Serialize)]
-pub struct PlantResponse {
+pub struct BoardResponse {
     /// Offsets on X, Y and Z; `null` where they are not available.
     pub offset_um: [Option<f64>; 3],
     /// As on the wire.
@@ -52,7 +52,7 @@ pub struct Plant {
     last_s: Option<f64>,
     temperatures: BTreeMap<String, TemperatureInput>,
     /// The board's last answer; a step too short for a new word repeats it.
-    pub last_answer: PlantResponse,
+    pub last_answer: BoardResponse,
 }
 
 /// A step has a few numbers; a longer line has no end.
@@ -83,7 +83,7 @@ impl Plant {
             peer,
             last_s: None,
             temperatures,
-            last_answer: PlantResponse::default(),
+            last_answer: BoardResponse::default(),
         })
     }
 
@@ -145,7 +145,7 @@ impl Plant {
         let situation = MachineSnapshot {
             sensor_volts: step.sensor_v,
             speed,
-            temperatures: replay::raw_temperatures(&self.temperatures, &step.temps_c),
+            temperatures: replay::raw_temperatures_from_celsius(&self.temperatures, &step.temps_c),
             ..MachineSnapshot::default()
         };
         Ok(Some((situation, ms as u32)))

@@ -181,7 +181,7 @@ impl QemuProcess {
 
     /// Returns the error for a channel to the board that has broken off.
     #[must_use]
-    pub(crate) fn channel_error(&mut self, what: &str) -> anyhow::Error {
+    pub(crate) fn diagnose_channel_error(&mut self, what: &str) -> anyhow::Error {
         // The pipes close a moment before the process can be seen to have ended.
         for _ in 0..100 {
             if let Err(error) = self.check_running() {

@@ -17,7 +17,7 @@ use trueup_core::{
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
-    inputs::{TemperatureInput, TemperatureKind},
+    inputs::{TemperatureInput, TemperatureInputKind},
     location::InputFileError,
     machine_file::{ElongationSource, Machine},
     run_file::RunFile,
@@ -195,14 +195,14 @@ fn angle_column(axis: impl std::fmt::Display) -> String {
 }
 
 /// The positions of an axis, and its directions where the run has them.
-type AxisMotion<'r> = (&'r [f64], Option<&'r [f64]>);
+type AxisColumns<'r> = (&'r [f64], Option<&'r [f64]>);
 
 /// The columns of temperatures, positions and angles that a run has and the machine uses.
 struct ReplayColumns<'r> {
     run: &'r RunFile,
     temperatures: Vec<(&'r [f64], TemperatureInput)>,
     /// Position, direction, and the position in the row before.
-    axes: [Option<AxisMotion<'r>>; 3],
+    axes: [Option<AxisColumns<'r>>; 3],
     before_mm: [Option<f64>; 3],
     /// The head's axes in their order.
     angles: Vec<(String, Option<&'r [f64]>)>,
@@ -248,7 +248,7 @@ impl<'r> ReplayColumns<'r> {
             if let Some(readings) = readings.get_mut(usize::from(input.channel))
                 && !column[row].is_nan()
             {
-                readings.push((time_s, raw_reading(input.kind, column[row])));
+                readings.push((time_s, raw_reading_from_celsius(input.kind, column[row])));
             }
         }
     }
@@ -353,14 +353,14 @@ fn round_to_i32(value: f64) -> Option<i32> {
 /// Lets a channel deliver a temperature.
 fn set_raw_temperature(temperatures: &mut RawTemperatures, input: &TemperatureInput, celsius: f64) {
     if let Some(channel) = temperatures.get_mut(usize::from(input.channel)) {
-        *channel = raw_reading(input.kind, celsius);
+        *channel = raw_reading_from_celsius(input.kind, celsius);
     }
 }
 
 /// Returns what the channels deliver at these temperatures, by the names of their columns. Those that are
 /// not named deliver nothing.
 #[must_use]
-pub fn raw_temperatures(
+pub fn raw_temperatures_from_celsius(
     inputs: &BTreeMap<String, TemperatureInput>,
     celsius: &BTreeMap<String, f64>,
 ) -> RawTemperatures {
@@ -377,13 +377,13 @@ pub fn raw_temperatures(
 /// its integer delivers the end of it, which no channel takes for a temperature.
 #[must_use]
 #[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]
-pub fn raw_reading(kind: TemperatureKind, celsius: f64) -> RawTemperatureReading {
+pub fn raw_reading_from_celsius(kind: TemperatureInputKind, celsius: f64) -> RawTemperatureReading {
     match kind {
-        TemperatureKind::Pt100 => {
+        TemperatureInputKind::Pt100 => {
             let t = Temperature((celsius * f64::from(Temperature::PER_KELVIN)).round() as i32);
             RawTemperatureReading(pt100::resistance_from_temperature(t).0)
         }
-        TemperatureKind::Linear(line) => {
+        TemperatureInputKind::Linear(line) => {
             let (zero_codes, codes_per_c) = line.linear_coefficients_in_codes();
             let codes = zero_codes + codes_per_c * celsius;
             // The lowest number means that nothing was delivered.

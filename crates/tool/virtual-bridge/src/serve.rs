@@ -34,7 +34,7 @@ use crate::{
     cnc_emulator::{CncEmulator, ReceivedFrames},
     gauge::SimulatedGauge,
     operator_controls::OperatorControls,
-    plant::{Plant, PlantResponse},
+    plant::{BoardResponse, Plant},
     replay::{MachineSnapshot, RunReplay},
 };
 
@@ -114,7 +114,7 @@ fn kill_qemu_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
 ///
 /// # Errors
 /// QEMU has ended.
-fn poll_stop_request(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
+fn print_log_and_poll_stop(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
     print_board_log(board);
     board.qemu_mut().check_running()?;
     Ok(stop.load(Ordering::Relaxed))
@@ -169,7 +169,7 @@ fn run_board(
         SampleSource::Run { replay, speed } => {
             trueup_output::write_diagnostic("the replay starts when a client opens the channel");
             while !opening.is_complete() {
-                if poll_stop_request(board, stop)? {
+                if print_log_and_poll_stop(board, stop)? {
                     return Ok(());
                 }
                 thread::sleep(Duration::from_millis(5));
@@ -203,12 +203,14 @@ fn run_board(
             }
         }
         SampleSource::Plant(mut plant) => {
-            while let Some((situation, ms)) = plant.next_step(|| poll_stop_request(board, stop))? {
+            while let Some((situation, ms)) =
+                plant.next_step(|| print_log_and_poll_stop(board, stop))?
+            {
                 if let Some(output) = live(board, &|_| situation, ms)? {
-                    plant.last_answer = PlantResponse::from(&output);
+                    plant.last_answer = BoardResponse::from(&output);
                 }
                 plant.send_response()?;
-                if poll_stop_request(board, stop)? {
+                if print_log_and_poll_stop(board, stop)? {
                     break;
                 }
             }
@@ -218,7 +220,7 @@ fn run_board(
     Ok(())
 }
 
-impl From<&Output> for PlantResponse {
+impl From<&Output> for BoardResponse {
     fn from(output: &Output) -> Self {
         let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
         Self {

@@ -66,7 +66,7 @@ fn campaign_abuse() -> Result<()> {
     println!("seed {seed}: {cycles} servo cycles and {events} events, by {each} ways of entering");
     let (mut outcomes, mut version) = (Vec::new(), String::new());
     for (way, seed) in ways.iter().zip(seed..) {
-        let Some(control) = setup::ensure_linuxcnc()? else {
+        let Some(control) = setup::install_and_lock_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(());
         };

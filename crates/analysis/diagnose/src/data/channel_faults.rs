@@ -12,7 +12,7 @@ use trueup_machine::{
     RunFile,
     model::required_columns,
     thermometer_faults::{
-        MAX_ROW_GAP_S, RUN_FALSE_ALARM_RATE, ThermometerFault, find_thermometer_faults,
+        EQUALITY_FALSE_ALARM_RATE, MAX_ROW_GAP_S, ThermometerFault, find_thermometer_faults,
     },
 };
 use trueup_numerics::{parallel::parallel_map, repeats::SIGNIFICANCE_LEVEL};
@@ -214,7 +214,7 @@ fn is_duplicate(values: &[f64], others: &[f64]) -> bool {
         before = value;
     }
     // Each would be as likely as not in one of them alone.
-    0.5_f64.powi(changes) <= RUN_FALSE_ALARM_RATE
+    0.5_f64.powi(changes) <= EQUALITY_FALSE_ALARM_RATE
 }
 
 /// Returns the name of the file of a row, for a note.

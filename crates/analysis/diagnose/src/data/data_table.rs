@@ -6,7 +6,7 @@ use trueup_machine::{
     Machine,
     effect::{SpeedExponent, ThermometerDelay},
     machine_file::{LinearAxis, Quantity},
-    model::part_temperature,
+    model::part_temperature_c,
 };
 
 use super::{
@@ -154,12 +154,12 @@ impl ParentTable {
     }
 
     /// Returns which of its rows each row is, or begins with.
-    pub(crate) fn source_rows(&self) -> Vec<usize> {
+    pub(crate) fn first_source_rows(&self) -> Vec<usize> {
         self.blocks.first_rows()
     }
 
     /// Of values for all rows, those of the drawn ones, or their means.
-    pub(crate) fn select_rows(&self, all: &[f64]) -> Vec<f64> {
+    pub(crate) fn aggregate_values(&self, all: &[f64]) -> Vec<f64> {
         self.blocks.means(all)
     }
 }
@@ -343,7 +343,7 @@ impl DataTable {
             let mut part_c = Vec::with_capacity(self.rows);
             let mut start = 0;
             for end in (1..=self.rows).filter(|&row| row == self.rows || restart[row]) {
-                part_c.extend(part_temperature(late, &time_s[start..end], &values[start..end]));
+                part_c.extend(part_temperature_c(late, &time_s[start..end], &values[start..end]));
                 start = end;
             }
             part_c

@@ -102,7 +102,7 @@ impl DataTable {
             &mut data,
             &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>(),
         );
-        input_columns::retain_inputs(&mut data);
+        input_columns::retain_input_columns(&mut data);
         if single_pass::is_single_pass(&data) {
             Arc::make_mut(&mut data.setting).is_one_pass = true;
             single_pass::exclude_redundant_clock(&mut data);

@@ -17,14 +17,14 @@ pub(super) fn is_record_metadata_column(name: &str) -> bool {
 
 /// Keeps the inputs among the other columns, and notes what is none. Columns that a term of the machine file reads
 /// stay.
-pub(super) fn retain_inputs(data: &mut DataTable) {
+pub(super) fn retain_input_columns(data: &mut DataTable) {
     let needed = trueup_machine::model::required_columns(&data.setting.machine);
     let others = std::mem::take(&mut data.columns[ColumnGroup::Others]);
     for column in others {
         let name = &column.0;
         if needed.contains(name) || is_position_column(name) {
             data.columns[ColumnGroup::Others].push(column);
-        } else if is_clock_column(data, &column.1) {
+        } else if is_monotonic_column(data, &column.1) {
             data.notes
                 .push(format!("{name} only grows with the rows: it is a clock, and no input"));
         } else if is_linearly_equivalent(&column.1, &data.measured) {
@@ -42,7 +42,7 @@ fn is_position_column(name: &str) -> bool {
 
 /// Returns whether the values never fall within a series, and grow more than once: a switch that was closed once only
 /// grows too.
-fn is_clock_column(data: &DataTable, values: &[f64]) -> bool {
+fn is_monotonic_column(data: &DataTable, values: &[f64]) -> bool {
     let changes = || {
         let is_pair = |row: &usize| data.places.series[*row] == data.places.series[row - 1];
         (1..values.len()).filter(is_pair).map(|row| values[row] - values[row - 1])

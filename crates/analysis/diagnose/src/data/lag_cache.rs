@@ -11,7 +11,7 @@ use trueup_numerics::parallel::parallel_map;
 
 use super::{
     lag_filter::LagInitialState,
-    lag_power_series::{LagSeries, TimeGrid},
+    lag_power_series::{LagPowerSeries, PieceTimes},
     lag_segments::LagSegments,
     row_blocks::RowBlocks,
     table_columns::NamedColumn,
@@ -30,7 +30,7 @@ pub(super) struct LagRows<'t> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct LagCache {
     /// Where rows are means of a few rows: the temperatures that have no gap, for any lag.
-    series: Vec<(String, Arc<LagSeries>)>,
+    series: Vec<(String, Arc<LagPowerSeries>)>,
     /// Where there are many rows: the stretches that they are cut into, and the means over them of the
     /// temperatures that have no gap.
     stretches: Option<(Arc<LagSegments>, Vec<NamedColumn>)>,
@@ -55,8 +55,9 @@ impl LagCache {
         let stretches = LagSegments::new(time_s, rows.restart, rows.blocks);
         new.stretches = stretches.map(|segments| (Arc::new(segments), Vec::new()));
         let of_means = new.stretches.is_none() && rows.blocks.has_multirow_blocks();
-        let clock = if of_means { TimeGrid::new(time_s, rows.restart, rows.blocks) } else { None };
-        new.add_columns(rows, clock.map(Arc::new).as_ref(), columns);
+        let clock =
+            if of_means { PieceTimes::new(time_s, rows.restart, rows.blocks) } else { None };
+        new.add_gapless_columns(rows, clock.map(Arc::new).as_ref(), columns);
         new
     }
 
@@ -68,24 +69,24 @@ impl LagCache {
         if let Some((_, means)) = &mut changed.stretches {
             means.retain(|(name, _)| is_kept(name));
         }
-        changed.add_columns(
+        changed.add_gapless_columns(
             rows,
-            self.series.first().map(|(_, series)| series.time_grid()),
+            self.series.first().map(|(_, series)| series.piece_times()),
             columns,
         );
         changed
     }
 
     /// Takes up those of `columns` that have no gap.
-    fn add_columns(
+    fn add_gapless_columns(
         &mut self,
         rows: LagRows<'_>,
-        clock: Option<&Arc<TimeGrid>>,
+        clock: Option<&Arc<PieceTimes>>,
         columns: &[NamedColumn],
     ) {
         if let Some(clock) = clock {
             let of = |(name, values): &NamedColumn| {
-                Some((name.clone(), Arc::new(LagSeries::new(clock, values, rows.blocks)?)))
+                Some((name.clone(), Arc::new(LagPowerSeries::new(clock, values, rows.blocks)?)))
             };
             self.series.extend(parallel_map(columns, true, of).into_iter().flatten());
         }
@@ -110,7 +111,7 @@ impl LagCache {
         if let (Some((_, series)), Some(values)) = (series, values)
             && rise_s > 0.0
         {
-            return series.means(values, blocks, rise_s, start).into();
+            return series.lagged_means(values, blocks, rise_s, start).into();
         }
         self.memoise(blocks, (column.into(), None, lags_s), || {
             let is_late = lags_s != [0.0; 2];
@@ -187,7 +188,7 @@ impl LagCache {
 mod tests {
     use std::{cell::Cell, f64::consts::TAU};
 
-    use trueup_machine::{effect::DelayKind, model::part_temperature};
+    use trueup_machine::{effect::DelayKind, model::part_temperature_c};
 
     use super::{super::lag_filter::apply_lag, *};
 
@@ -226,7 +227,7 @@ mod tests {
             (Some(late(60.0)), [fast_s; 2], true),
         ] {
             let behind = |late: Option<ThermometerDelay>| {
-                let part_c = late.map(|late| part_temperature(late, &time_s, &values));
+                let part_c = late.map(|late| part_temperature_c(late, &time_s, &values));
                 let shown = part_c.as_ref().unwrap_or(&values);
                 apply_lag(shown, &time_s, &restart, lags_s, LagInitialState::Settled)
             };

@@ -48,15 +48,15 @@ fn add_series(sum: &mut PowerSeries, other: &PowerSeries) {
 
 /// The pieces of a table and their times, shared by all its columns.
 #[derive(Debug)]
-pub(super) struct TimeGrid {
-    pieces: Vec<TimeGridPiece>,
+pub(super) struct PieceTimes {
+    pieces: Vec<TimedPiece>,
     /// From the row before to each row, in s; infinite where the lag begins anew.
     elapsed_s: Vec<f64>,
 }
 
 /// A piece, and the rows before it that are in none.
 #[derive(Debug)]
-struct TimeGridPiece {
+struct TimedPiece {
     first: usize,
     last: usize,
     /// From its first row to its last, in s; infinite where a row between begins anew.
@@ -65,7 +65,7 @@ struct TimeGridPiece {
     kept: [PowerSeries; 2],
 }
 
-impl TimeGrid {
+impl PieceTimes {
     /// None where a time is missing.
     pub(super) fn new(time_s: &[f64], restart: &[bool], blocks: &RowBlocks) -> Option<Self> {
         if time_s.iter().any(|time| time.is_nan()) {
@@ -92,7 +92,7 @@ impl TimeGrid {
             }
             mean.iter_mut().for_each(|mean| *mean /= rows.len() as f64);
             let kept = [exponential_series(span_s), mean];
-            pieces.push(TimeGridPiece { first, last, span_s, kept });
+            pieces.push(TimedPiece { first, last, span_s, kept });
             first = last + 1;
         }
         Some(Self { pieces, elapsed_s })
@@ -101,24 +101,24 @@ impl TimeGrid {
 
 /// One column's lags.
 #[derive(Debug)]
-pub(super) struct LagSeries {
-    clock: Arc<TimeGrid>,
+pub(super) struct LagPowerSeries {
+    clock: Arc<PieceTimes>,
     /// The column's contribution to the value at the last row of each piece, and to the mean.
     added: Vec<[PowerSeries; 2]>,
 }
 
-impl LagSeries {
+impl LagPowerSeries {
     /// Returns the pieces that it is of.
-    pub(super) fn time_grid(&self) -> &Arc<TimeGrid> {
+    pub(super) fn piece_times(&self) -> &Arc<PieceTimes> {
         &self.clock
     }
 
     /// None where a value is missing.
-    pub(super) fn new(clock: &Arc<TimeGrid>, values: &[f64], blocks: &RowBlocks) -> Option<Self> {
+    pub(super) fn new(clock: &Arc<PieceTimes>, values: &[f64], blocks: &RowBlocks) -> Option<Self> {
         if values.iter().any(|value| value.is_nan()) {
             return None;
         }
-        let of = |(piece, rows): (&TimeGridPiece, &[u32])| {
+        let of = |(piece, rows): (&TimedPiece, &[u32])| {
             let (mut here, mut mean) =
                 ([0.0; POWER_SERIES_TERM_COUNT], [0.0; POWER_SERIES_TERM_COUNT]);
             let mut used = rows.iter().peekable();
@@ -138,7 +138,7 @@ impl LagSeries {
     }
 
     /// Returns the mean in each piece of `values`, those of [`new`](Self::new), behind a lag of `tau_s`, above 0.
-    pub(super) fn means(
+    pub(super) fn lagged_means(
         &self,
         values: &[f64],
         blocks: &RowBlocks,
@@ -146,7 +146,7 @@ impl LagSeries {
         start: LagInitialState,
     ) -> Vec<f64> {
         let powers = successive_powers(-1.0 / tau_s);
-        let TimeGrid { pieces, elapsed_s } = &*self.clock;
+        let PieceTimes { pieces, elapsed_s } = &*self.clock;
         let (mut known_s, mut share) = (f64::NAN, 0.0);
         // Most rows are as far apart as the rows before them, but for the rounding of their times.
         let mut settle = |before: f64, row: usize| {
@@ -221,15 +221,15 @@ mod tests {
         let values: Vec<f64> = (0..count).map(column).collect();
         let counts = |row: &usize| row % 17 != 3 && !(400..470).contains(row);
         let blocks = RowBlocks::new((0..count).filter(counts), |row| row % 60 == 0 || row == 2111);
-        let clock = Arc::new(TimeGrid::new(&time_s, &restart, &blocks).expect("all times"));
-        let series = LagSeries::new(&clock, &values, &blocks).expect("all values");
+        let clock = Arc::new(PieceTimes::new(&time_s, &restart, &blocks).expect("all times"));
+        let series = LagPowerSeries::new(&clock, &values, &blocks).expect("all values");
         let starts = [LagInitialState::Settled, LagInitialState::Cold];
         for (tau_s, start) in
             [0.3, 20.0, 600.0, 900.0, 1e5].into_iter().flat_map(|s| starts.map(|start| (s, start)))
         {
             let stepped = blocks.means(&apply_lag(&values, &time_s, &restart, [tau_s; 2], start));
             let worst = series
-                .means(&values, &blocks, tau_s, start)
+                .lagged_means(&values, &blocks, tau_s, start)
                 .iter()
                 .zip(&stepped)
                 .map(|(a, b)| (a - b).abs())
@@ -243,8 +243,10 @@ mod tests {
     fn a_gap_in_the_column_has_no_series() {
         let blocks = RowBlocks::new(0..4, |row| row % 2 == 0);
         let restart = [true, false, false, false];
-        let clock = TimeGrid::new(&[0.0, 1.0, 2.0, 3.0], &restart, &blocks).expect("all times");
-        assert!(LagSeries::new(&Arc::new(clock), &[1.0, f64::NAN, 1.0, 1.0], &blocks).is_none());
-        assert!(TimeGrid::new(&[0.0, f64::NAN, 2.0, 3.0], &restart, &blocks).is_none());
+        let clock = PieceTimes::new(&[0.0, 1.0, 2.0, 3.0], &restart, &blocks).expect("all times");
+        assert!(
+            LagPowerSeries::new(&Arc::new(clock), &[1.0, f64::NAN, 1.0, 1.0], &blocks).is_none()
+        );
+        assert!(PieceTimes::new(&[0.0, f64::NAN, 2.0, 3.0], &restart, &blocks).is_none());
     }
 }

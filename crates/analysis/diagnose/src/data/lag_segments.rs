@@ -11,7 +11,7 @@
 //! wrong by (Δ/τ)²/12 of itself so, and after a jump by (Δ/τ)²/8 of the jump. It begins with the mean over the first
 //! stretch, and not with one reading and its noise.
 
-use trueup_machine::{effect::ThermometerDelay, model::part_temperature_from_means};
+use trueup_machine::{effect::ThermometerDelay, model::part_temperature_from_means_c};
 
 use super::{
     lag_filter::{LagInitialState, apply_lag},
@@ -19,7 +19,7 @@ use super::{
 };
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
-const MAX_LAG_SEGMENTS: usize = 50_000;
+const NOMINAL_LAG_SEGMENTS: usize = 50_000;
 /// The longest stretch, in time constants, that resolves a lag: by what stands above it is wrong by 2 % of itself
 /// then, and by 3 % of a jump. Faster lags are not looked for in so long a record.
 const MAX_SEGMENT_TO_TIME_CONSTANT_RATIO: f64 = 0.5;
@@ -46,7 +46,7 @@ pub(super) struct LagSegments {
 impl LagSegments {
     /// None where a time is missing, or there are not many rows.
     pub(super) fn new(time_s: &[f64], restart: &[bool], blocks: &RowBlocks) -> Option<Self> {
-        if time_s.len() < 2 * MAX_LAG_SEGMENTS || time_s.iter().any(|time_s| time_s.is_nan()) {
+        if time_s.len() < 2 * NOMINAL_LAG_SEGMENTS || time_s.iter().any(|time_s| time_s.is_nan()) {
             return None;
         }
         let rows = time_s.len();
@@ -65,7 +65,7 @@ impl LagSegments {
         while first < rows {
             let start_s = if restart[first] { time_s[first] } else { time_s[first - 1] };
             let belongs = |&row: &usize| {
-                !restart[row] && time_s[row] - start_s <= record_s / MAX_LAG_SEGMENTS as f64
+                !restart[row] && time_s[row] - start_s <= record_s / NOMINAL_LAG_SEGMENTS as f64
             };
             // A row that is alone holds its value over any time.
             let end = (first + 1..rows).find(|row| !belongs(row)).unwrap_or(rows);
@@ -128,7 +128,7 @@ impl LagSegments {
         let of = |(start, end): (usize, usize)| {
             let [times_s, apart_s, mean_c] =
                 [&self.mean_s, &self.apart_s, mean_c].map(|list| &list[start..end]);
-            part_temperature_from_means(late, times_s, apart_s, mean_c)
+            part_temperature_from_means_c(late, times_s, apart_s, mean_c)
         };
         starts.zip(ends).flat_map(of).collect()
     }
@@ -236,11 +236,11 @@ impl InterpolationWeights {
 mod tests {
     use std::f64::consts::TAU;
 
-    use trueup_machine::{effect::DelayKind, model::part_temperature};
+    use trueup_machine::{effect::DelayKind, model::part_temperature_c};
 
     use super::*;
 
-    const ROWS: usize = 2 * MAX_LAG_SEGMENTS + 20_000;
+    const ROWS: usize = 2 * NOMINAL_LAG_SEGMENTS + 20_000;
 
     /// Returns two series of uneven times, one right after the other, with a pause in the first.
     fn times() -> (Vec<f64>, Vec<bool>) {
@@ -326,8 +326,8 @@ mod tests {
             ThermometerDelay { by_s: 60.0, form: DelayKind::Delay },
         ] {
             assert!(it.min_resolved_lag_s() <= late.by_s);
-            let mut part_c = part_temperature(late, &time_s[..half], &smooth[..half]);
-            part_c.extend(part_temperature(late, &time_s[half..], &smooth[half..]));
+            let mut part_c = part_temperature_c(late, &time_s[..half], &smooth[..half]);
+            part_c.extend(part_temperature_c(late, &time_s[half..], &smooth[half..]));
             let of_means = it.part_temperature_c(late, &means);
             for lags_s in [[0.0; 2], [100.0; 2]] {
                 let stepped = blocks.means(&apply_lag(
@@ -367,8 +367,12 @@ mod tests {
         let blocks = RowBlocks::new(0..ROWS, |_| true);
         let it = LagSegments::new(&time_s, &restart, &blocks).expect("many rows");
         assert!(
-            LagSegments::new(&time_s[..MAX_LAG_SEGMENTS], &restart[..MAX_LAG_SEGMENTS], &blocks)
-                .is_none()
+            LagSegments::new(
+                &time_s[..NOMINAL_LAG_SEGMENTS],
+                &restart[..NOMINAL_LAG_SEGMENTS],
+                &blocks
+            )
+            .is_none()
         );
         let mut missing = column(&time_s);
         missing[77] = f64::NAN;

@@ -5,7 +5,8 @@ use trueup_machine::{
     applied_offsets::UncompensatedRun,
     machine_file::LinearAxis,
     model::{
-        ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
+        ReferenceModel, RowInputs, part_temperature_columns, required_columns, shift_series,
+        time_shift_s,
     },
 };
 
@@ -77,7 +78,7 @@ fn simulate_machine(
         let [has_time, has_run, has_speed, has_load] =
             ["time_s", "run", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
         let mut reference = ReferenceModel::new(machine);
-        let parts_c = part_temperatures(machine, |name| run.column(name));
+        let parts_c = part_temperature_columns(machine, |name| run.column(name));
         let columns = data.temperatures().iter().map(|(name, _)| name);
         let columns = columns.chain(parts_c.iter().map(|(name, _)| name));
         let mut temperatures: Vec<(&str, f64)> =

@@ -71,7 +71,7 @@ impl DataTable {
 
     /// Returns the same rows of `whole`: another table than that these were drawn from in some of the temperatures,
     /// and in what the machine's own laws make of them.
-    pub(crate) fn select_same_rows(&self, whole: Self) -> Self {
+    pub(crate) fn with_parent_table(&self, whole: Self) -> Self {
         let Some(before) = &self.whole else { return whole };
         let is_changed = |(name, values): &&NamedColumn| {
             before.data.temperature_c(name).is_none_or(|there| !std::ptr::eq(there, &values[..]))
@@ -81,7 +81,7 @@ impl DataTable {
         let mut drawn = self.clone();
         for (name, values) in &mut drawn.columns[ColumnGroup::Temperatures] {
             if let Some((_, all)) = changed.iter().find(|(there, _)| there == name) {
-                *values = before.select_rows(&forward_fill(all)).into();
+                *values = before.aggregate_values(&forward_fill(all)).into();
             }
         }
         drawn.predicted = before.aggregate_predictions(&whole);

@@ -53,7 +53,7 @@ pub(crate) struct BridgeOffsets {
 }
 
 /// Doubts that the factor leaves.
-pub(crate) enum FactorCaveat {
+pub(crate) enum AppliedFactorCaveat {
     Nothing,
     /// It is known, and not 1.
     NotOne(FactorEstimate),
@@ -91,7 +91,7 @@ impl BridgeOffsets {
     }
 
     /// Returns the factor by which the offsets are taken out of what was measured.
-    pub(crate) fn factor(&self) -> f64 {
+    pub(crate) fn offset_factor(&self) -> f64 {
         match self.applied {
             OffsetApplication::OtherFactor(factor) => factor.fault_factor_or_estimate(),
             _ => 1.0,
@@ -104,10 +104,12 @@ impl BridgeOffsets {
         problem: &FitProblem,
         found: &SearchOutcome,
         judged: &[TermJudgement],
-    ) -> FactorCaveat {
+    ) -> AppliedFactorCaveat {
         match self.applied {
-            OffsetApplication::OtherFactor(factor) => FactorCaveat::NotOne(factor),
-            OffsetApplication::NoOffset | OffsetApplication::Once(_) => FactorCaveat::Nothing,
+            OffsetApplication::OtherFactor(factor) => AppliedFactorCaveat::NotOne(factor),
+            OffsetApplication::NoOffset | OffsetApplication::Once(_) => {
+                AppliedFactorCaveat::Nothing
+            }
             OffsetApplication::Unknown(_) => self.find_confounded_terms(problem, found, judged),
         }
     }
@@ -117,8 +119,8 @@ impl BridgeOffsets {
         problem: &FitProblem,
         found: &SearchOutcome,
         judged: &[TermJudgement],
-    ) -> FactorCaveat {
-        let own = problem.data.whole.as_ref().map(|whole| whole.select_rows(&self.offset_um));
+    ) -> AppliedFactorCaveat {
+        let own = problem.data.whole.as_ref().map(|whole| whole.aggregate_values(&self.offset_um));
         let offset = problem.groups.means(own.as_ref().unwrap_or(&self.offset_um));
         // How much worse a free factor is in the place of what `model` lacks, where the two cannot be distinguished.
         let open = |model: &Model| {
@@ -142,7 +144,11 @@ impl BridgeOffsets {
         {
             terms = (0..judged.len()).map(|index| (index, gap)).collect();
         }
-        if terms.is_empty() { FactorCaveat::Nothing } else { FactorCaveat::ConfoundedTerms(terms) }
+        if terms.is_empty() {
+            AppliedFactorCaveat::Nothing
+        } else {
+            AppliedFactorCaveat::ConfoundedTerms(terms)
+        }
     }
 }
 
@@ -173,7 +179,7 @@ fn fit_with_free_factor(
     Some(at(share))
 }
 
-impl FactorCaveat {
+impl AppliedFactorCaveat {
     /// Returns whether the machine file is to stay unchanged.
     pub(crate) fn forbids_writing(&self) -> bool {
         !matches!(self, Self::Nothing)

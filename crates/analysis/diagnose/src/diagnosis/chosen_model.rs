@@ -5,10 +5,10 @@ use std::sync::Arc;
 use trueup_machine::{InputFileError, RunFile};
 
 use super::{
-    applied_factor::FactorCaveat,
-    final_model::{final_model, without_causes, without_clock_and_instrument},
+    applied_factor::AppliedFactorCaveat,
+    final_model::{fit_final_model, without_causes, without_clock_and_instrument},
     finding::{build_finding, merge_coupled_findings},
-    held_out_errors::HeldOutRecord,
+    held_out_errors::CrossValidatedRecord,
     hold_out::HoldOut,
     hold_out_evaluation::HoldOutEvaluation,
     report::Finding,
@@ -66,7 +66,7 @@ impl ChosenModel {
         hold_out: Option<&HoldOut<'_>>,
     ) -> Result<Self, InputFileError> {
         let SearchContext { data, problem, found, judged, runs, aside } = *search;
-        let mut model = final_model(problem, found, judged);
+        let mut model = fit_final_model(problem, found, judged);
         let mut written = WrittenTerms::new(problem, found, judged, &model, runs);
         // What was measured several times at the same positions is judged by its repeats.
         let repeats_itself = data.setting.quantity.axis().is_some()
@@ -87,7 +87,7 @@ impl ChosenModel {
         }
         let mut transfer = None;
         if let Some(hold_out) = hold_out {
-            hold_out.check_columns(data, &model)?;
+            hold_out.check_required_columns(data, &model)?;
             let on_hold_out = HoldOutEvaluation::new(problem, model, hold_out);
             model = on_hold_out.model.clone();
             if !on_hold_out.dropped.is_empty() && !choice.is_predicted {
@@ -129,7 +129,7 @@ impl ChosenModel {
             let promised = ReductionBounds { floor, most_left_um: 0.0 };
             Shortfall::new(data, hold_out, test, compensated, promised, memory)
         });
-        if on_board.as_ref().is_some_and(Shortfall::is_certain) {
+        if on_board.as_ref().is_some_and(Shortfall::is_significant) {
             return on_board;
         }
         // What only explains is to hold on another day as well.
@@ -138,13 +138,14 @@ impl ChosenModel {
             if model.parts.len() <= compensated.parts.len() {
                 return None;
             }
-            let parts = HeldOutRecord { problem, folds, model: &model, foreseen: None, within };
+            let parts =
+                CrossValidatedRecord { problem, folds, model: &model, foreseen: None, within };
             let figures = parts.held_out_errors().figures;
             let most_left_um = MAX_HOLD_OUT_RESIDUAL_RATIO * figures.after_um;
             let promised = ReductionBounds { floor: figures.reduction_floor95, most_left_um };
             Shortfall::new(data, hold_out, &hold_out.data, &model, promised, memory)
         };
-        of_names().filter(Shortfall::is_certain).or(on_board)
+        of_names().filter(Shortfall::is_significant).or(on_board)
     }
 
     /// Returns a finding for each term that was judged, and for those that were chosen for prediction. No name is claimed
@@ -152,7 +153,7 @@ impl ChosenModel {
     pub(super) fn build_findings(
         &self,
         search: &SearchContext<'_>,
-        open: &FactorCaveat,
+        open: &AppliedFactorCaveat,
         after: &[f64],
         within: f64,
         is_most_unknown: bool,
@@ -168,7 +169,7 @@ impl ChosenModel {
             finding.gain.add_within_group_mean_square(within);
             step_duration::append_duration_sentence(&mut finding, &judgement.part, data, after);
             if is_dropped(judgement.cause()) {
-                finding.mark_excluded();
+                finding.mark_excluded_by_hold_out();
             }
             if is_disproved && finding.claimed {
                 finding.withdraw_claim();

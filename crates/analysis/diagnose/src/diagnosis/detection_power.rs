@@ -17,7 +17,7 @@ use std::{collections::BTreeSet, fmt};
 pub(super) use trueup_numerics::block_resampling::COVERAGE_FACTOR_95 as COVERAGE;
 use trueup_numerics::{
     noise,
-    noncentral_f::{power, required_noncentrality},
+    noncentral_f::{f_test_power, required_noncentrality},
     repeats::{SIGNIFICANCE_LEVEL, required_cycles},
 };
 
@@ -95,8 +95,8 @@ impl DetectionPower {
         // What the instrument is worth is known; what is left is known by the rows alone.
         let known_um = instrument_um.filter(|_| is_of_instrument).map(|um| um / COVERAGE);
         let is_found = |rows: f64| match known_um {
-            Some(um) => power(SIGNIFICANCE_LEVEL, 1.0, f64::from(u16::MAX), rows * (matters_um / um).powi(2)),
-            None => power(SIGNIFICANCE_LEVEL, 1.0, rows - 2.0, rows * signal_to_noise_ratio(matters_um, noise_um).powi(2)),
+            Some(um) => f_test_power(SIGNIFICANCE_LEVEL, 1.0, f64::from(u16::MAX), rows * (matters_um / um).powi(2)),
+            None => f_test_power(SIGNIFICANCE_LEVEL, 1.0, rows - 2.0, rows * signal_to_noise_ratio(matters_um, noise_um).powi(2)),
         } >= CONFIDENCE_LEVEL;
         let candidates =
             single_input_candidates(problem, &found.fitted.model, &found.fitted.residual).len();

@@ -45,7 +45,7 @@ pub(super) fn compute_error_curves(
     axis: LinearAxis,
 ) -> [Vec<ErrorCurve>; 2] {
     let believed = diagnosis.data.setting.machine.clone();
-    [believed, extended_machine_file::extended_machine(diagnosis)]
+    [believed, extended_machine_file::build_extended_machine(diagnosis)]
         .map(|machine| compute_machine_error_curves(&diagnosis.data, &machine, axis))
 }
 

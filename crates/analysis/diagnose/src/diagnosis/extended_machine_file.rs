@@ -12,7 +12,7 @@ use super::Diagnosis;
 use crate::{data::DataTable, extension_terms::ExtensionTerms, model::Model};
 
 /// Returns the extended machine.
-pub(crate) fn extended_machine(diagnosis: &Diagnosis) -> Machine {
+pub(crate) fn build_extended_machine(diagnosis: &Diagnosis) -> Machine {
     let mut machine = diagnosis.data.setting.machine.clone();
     for (number, term) in &diagnosis.corrected {
         machine.terms[*number] = term.clone();

@@ -12,7 +12,7 @@ use crate::{
 
 /// Returns the model as it is handed out: terms that are not kept leave, and the others are fitted again
 /// without them; but what is of this record alone is omitted only then, for next to it the others are right.
-pub(super) fn final_model(
+pub(super) fn fit_final_model(
     problem: &FitProblem,
     found: &SearchOutcome,
     judged: &[TermJudgement],

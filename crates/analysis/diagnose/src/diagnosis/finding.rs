@@ -47,7 +47,7 @@ pub(crate) fn build_finding(
             format_micrometres(first.left_out_after_um)
         ),
     ];
-    evidence.extend(describe_change(&it.part));
+    evidence.extend(describe_term_change(&it.part));
     evidence.extend(it.doubts.iter().map(|doubt| describe_caveat(doubt, &it.gain, left_out)));
     evidence.extend(it.between.as_ref().and_then(InterpolationAccuracy::sentence));
     let between = it.between.as_ref().and_then(InterpolationAccuracy::next_test);
@@ -150,7 +150,7 @@ pub(super) fn merge_coupled_findings(judged: &[TermJudgement], all: Vec<Finding>
 
 impl Finding {
     /// The hold-out becomes worse by it: its term is not handed out.
-    pub(super) fn mark_excluded(&mut self) {
+    pub(super) fn mark_excluded_by_hold_out(&mut self) {
         self.compensated = false;
         self.evidence
             .push("It makes the hold-out worse: extended.toml does not contain it.".into());
@@ -206,7 +206,7 @@ impl Finding {
                 continue;
             };
             let value = &there["value"];
-            if differs_significantly(&own["value"], value, own.get("ci95")) {
+            if differs_by_standard_error(&own["value"], value, own.get("ci95")) {
                 differs.push(match value.as_f64() {
                     Some(number) => format!("{name} {}", format_five_significant_digits(number)),
                     None => name,
@@ -225,7 +225,7 @@ impl Finding {
 
 /// Returns whether two values differ by more than the standard error of the first, of which `ci95` is the interval;
 /// without one, whether they differ. Lists do where one of their values does.
-fn differs_significantly(own: &Value, written: &Value, ci95: Option<&Value>) -> bool {
+fn differs_by_standard_error(own: &Value, written: &Value, ci95: Option<&Value>) -> bool {
     /// An interval of 95 % has this many standard errors (a normal distribution).
     const STANDARD_ERRORS_PER_CI95: f64 = 3.92;
     match (own, written) {
@@ -242,18 +242,18 @@ fn differs_significantly(own: &Value, written: &Value, ci95: Option<&Value>) -> 
         (Value::Array(one), Value::Array(other)) => {
             one.len() != other.len()
                 || one.iter().zip(other).enumerate().any(|(n, (one, other))| {
-                    differs_significantly(one, other, ci95.and_then(|interval| interval.get(n)))
+                    differs_by_standard_error(one, other, ci95.and_then(|interval| interval.get(n)))
                 })
         }
         (Value::Object(one), Value::Object(other)) => one.iter().any(|(key, one)| {
-            other.get(key).is_some_and(|other| differs_significantly(one, other, None))
+            other.get(key).is_some_and(|other| differs_by_standard_error(one, other, None))
         }),
         _ => own != written,
     }
 }
 
 /// By how much a term of the machine file has changed, in a sentence; none of what the file has not.
-fn describe_change(part: &ModelPart) -> Option<String> {
+fn describe_term_change(part: &ModelPart) -> Option<String> {
     let (before, after) = (&part.kind.as_stated_term()?.effect, part.cause()?);
     let (mut stated, mut fitted) = (Vec::new(), Vec::new());
     for ((key, before), (_, after)) in before.entries().into_iter().zip(after.entries()) {

@@ -46,7 +46,7 @@ pub(super) const EXTRAPOLATION_MARGIN_FRACTION: f64 = 0.1;
 const ZEROING_READING_COUNT: usize = 3;
 
 /// A record that was predicted part by part.
-pub(super) struct HeldOutRecord<'p> {
+pub(super) struct CrossValidatedRecord<'p> {
     pub problem: &'p FitProblem,
     pub folds: &'p Folds,
     /// The terms of the board, as they are fitted.
@@ -57,7 +57,7 @@ pub(super) struct HeldOutRecord<'p> {
     pub within: f64,
 }
 
-impl HeldOutRecord<'_> {
+impl CrossValidatedRecord<'_> {
     /// Returns what is promised of a reading.
     pub(super) fn held_out_errors(&self) -> HeldOutErrors {
         HeldOutErrors {
@@ -273,8 +273,8 @@ const MAX_CATEGORIES: usize = 12;
 /// Returns the categories of a hold-out that the runs did not have, a sentence each.
 pub(super) fn describe_unseen_categories(runs: &DataTable, here: &DataTable) -> Vec<String> {
     let sentence = |name: &String, values: &[f64]| {
-        let seen = distinct_values(values)?;
-        let there = distinct_values(&forward_fill(column_by_name(here, name)?))?;
+        let seen = find_categories(values)?;
+        let there = find_categories(&forward_fill(column_by_name(here, name)?))?;
         let unseen: Vec<f64> = there.into_iter().filter(|value| !seen.contains(value)).collect();
         let is_whole = seen.iter().chain(&unseen).all(|value| value.fract() == 0.0);
         (is_whole && !unseen.is_empty()).then(|| {
@@ -288,7 +288,7 @@ pub(super) fn describe_unseen_categories(runs: &DataTable, here: &DataTable) -> 
     runs.unknown_columns().iter().filter_map(|(name, values)| sentence(name, values)).collect()
 }
 
-fn distinct_values(values: &[f64]) -> Option<Vec<f64>> {
+fn find_categories(values: &[f64]) -> Option<Vec<f64>> {
     let mut found: Vec<f64> = Vec::new();
     for value in values.iter().filter(|value| value.is_finite()) {
         if !found.contains(value) {

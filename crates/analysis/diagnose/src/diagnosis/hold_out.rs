@@ -19,7 +19,7 @@ impl HoldOut<'_> {
     ///
     /// # Errors
     /// One is missing: with the file, the column and the term.
-    pub(super) fn check_columns(
+    pub(super) fn check_required_columns(
         &self,
         training: &DataTable,
         model: &Model,

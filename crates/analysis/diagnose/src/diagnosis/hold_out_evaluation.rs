@@ -117,7 +117,7 @@ impl HoldOutEvaluation {
     }
 
     /// Returns whether the hold-out is worse with the terms that are handed out, by however little.
-    pub(super) fn is_worse(&self) -> bool {
+    pub(super) fn worsens_hold_out(&self) -> bool {
         self.dropped.is_empty() && self.found_um > ROUNDING_TOLERANCE_FACTOR * self.before_um
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use trueup_page::{
     HtmlPage, NEXT_COMMANDS_HEADING, Provenance, commands_html, escape_html, format_micrometres,
-    format_significant, format_with_interval,
+    format_three_digits, format_with_interval,
 };
 
 use crate::{
@@ -280,7 +280,7 @@ fn format_value(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {
         Value::Null => String::new(),
-        Value::Number(number) => format_significant(number.as_f64().unwrap_or(f64::NAN)),
+        Value::Number(number) => format_three_digits(number.as_f64().unwrap_or(f64::NAN)),
         Value::Array(items) => {
             let between = if items.iter().any(Value::is_object) { "<br>" } else { ", " };
             items.iter().map(format_value).collect::<Vec<_>>().join(between)

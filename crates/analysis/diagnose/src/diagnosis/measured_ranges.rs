@@ -27,8 +27,8 @@ use crate::{
 const DIAL_GAUGE_RESOLUTION_UM: f64 = 1.0;
 
 /// Returns the values of a machine file that no machine can have.
-fn impossible_values(machine: &Machine) -> Vec<ImplausibleValue> {
-    let findings = check::range_findings(machine).into_iter();
+fn find_impossible_values(machine: &Machine) -> Vec<ImplausibleValue> {
+    let findings = check::list_implausible_values(machine).into_iter();
     findings.filter(|finding| finding.grade == Plausibility::Impossible).collect()
 }
 
@@ -69,7 +69,10 @@ impl<'m> MeasuredRanges<'m> {
             largest_um: about(&problem.measured).max(about(&left)).max(DIAL_GAUGE_RESOLUTION_UM),
             range_um,
             is_refused: envelope::find_limit_violation(machine).is_some(),
-            impossible: impossible_values(machine).into_iter().map(|finding| finding.key).collect(),
+            impossible: find_impossible_values(machine)
+                .into_iter()
+                .map(|finding| finding.key)
+                .collect(),
         }
     }
 
@@ -94,7 +97,7 @@ impl<'m> MeasuredRanges<'m> {
         {
             return Some((kind, OmissionReason::Rejected(excess.rule)));
         }
-        let beyond = impossible_values(&machine);
+        let beyond = find_impossible_values(&machine);
         if let Some(finding) =
             beyond.into_iter().find(|finding| !self.impossible.contains(&finding.key))
         {
@@ -107,7 +110,7 @@ impl<'m> MeasuredRanges<'m> {
     /// gain and a bend of a source are one characteristic, and count together.
     fn max_effect_um(&self, problem: &FitProblem, model: &Model, kind: &TermKind) -> f64 {
         let is_bent = |there: &TermKind| {
-            matches!(there.stage(), PredictionStage::Factor | PredictionStage::Bend)
+            matches!(there.prediction_stage(), PredictionStage::Factor | PredictionStage::Bend)
         };
         let is_of_it = |there: &TermKind| there == kind || is_bent(there) && is_bent(kind);
         let parts = model.parts.iter().filter(|part| !is_of_it(&part.kind)).cloned().collect();

@@ -63,7 +63,7 @@ use board_residuals::compute_board_residuals;
 use chosen_model::{ChosenModel, SearchContext};
 use detection_power::{COVERAGE, DetectionPower};
 use finding::{build_outlier_finding, describe_unclaimed_outliers};
-use held_out_errors::HeldOutRecord;
+use held_out_errors::CrossValidatedRecord;
 use hold_out::HoldOut;
 use report::{
     DiagnosisReport, ErrorsAfterExtension, ErrorsBeforeExtension, OmittedCause, RejectedCause,
@@ -140,7 +140,7 @@ pub(crate) fn build_diagnosis(
     let compensated = compensated_model(&written.board);
     let test = asked.hold_out.map(|hold_out| &hold_out.data);
     let unseen = ValidationData { problem, folds: &found.folds, within, test };
-    let [unseen_um, extended_unseen_um @ ..] = hold_out_rms_um(&unseen, &chosen, &compensated);
+    let [unseen_um, extended_unseen_um @ ..] = validation_rms_um(&unseen, &chosen, &compensated);
     let machine = extended_machine_file::extend_machine(&data, &written.board);
     // The zero of an axis's measurement counts neither before nor after.
     let on_board = compute_board_residuals(&data, runs, &machine, &compensated, &aside);
@@ -150,9 +150,9 @@ pub(crate) fn build_diagnosis(
     let promise = error_at_tool::ErrorPredictor::new(own, &found, &compensated, not_run);
     let is_corrected = !compensated.parts.is_empty();
     let folds = Folds::for_prediction(own);
-    let foreseen = choice.foreseen.as_ref();
+    let (board, foreseen) = (&written.board, choice.foreseen.as_ref());
     let parts =
-        HeldOutRecord { problem: own, folds: &folds, model: &written.board, foreseen, within };
+        CrossValidatedRecord { problem: own, folds: &folds, model: board, foreseen, within };
     let held_out = is_corrected.then(|| parts.held_out_errors());
     let floor = held_out.as_ref().map(|held_out| held_out.figures.reduction_floor95);
     let shortfall = asked.hold_out.and_then(|hold_out| {
@@ -201,7 +201,7 @@ pub(crate) fn build_diagnosis(
         held_out,
         rejected: found.rejected.into_iter().map(to_rejected_cause).collect(),
     };
-    let ExtensionTerms { replaced: corrected, new: terms } = written.extension_terms(&data);
+    let ExtensionTerms { replaced: corrected, new: terms } = written.to_extension_terms(&data);
     let diagnosis = Diagnosis {
         report,
         terms,
@@ -234,7 +234,7 @@ fn append_warnings(
 fn record_missing_inputs(mut diagnosis: Diagnosis) -> Diagnosis {
     if diagnosis.has_corrections() {
         diagnosis.report.missing_inputs =
-            missing_input_lines(&extended_machine_file::extended_machine(&diagnosis));
+            missing_input_lines(&extended_machine_file::build_extended_machine(&diagnosis));
     }
     diagnosis
 }
@@ -260,7 +260,7 @@ impl ResidualSummary {
         let spread_um = [rms(before_rows), left_um];
         Self {
             noise_um: estimate_noise_um(problem, found, after_rows, repeats.as_ref()),
-            between_neighbours_um: neighbour_noise_um(after_rows),
+            between_neighbours_um: estimate_neighbour_noise_um(after_rows),
             power: DetectionPower::new(problem, found, left_um, after_rows.len(), matters_um),
             wandering: SlowDrift::detect(problem, found),
             unknown_rest: UnexplainedResidual::detect(data, repeats.as_ref(), spread_um, &by_row),
@@ -296,16 +296,16 @@ impl ResidualSummary {
 
 /// Returns what the machine file, the model and what is compensated of it leave on data not used for the fit: RMS,
 /// in µm.
-fn hold_out_rms_um(
+fn validation_rms_um(
     unseen: &ValidationData<'_>,
     chosen: &ChosenModel,
     compensated: &Model,
 ) -> [f64; 3] {
-    let after_um = unseen.model_rms_um(&chosen.model);
+    let after_um = unseen.model_residual_rms_um(&chosen.model);
     let compensated_um = if *compensated == chosen.model {
         after_um
     } else {
-        chosen.written.hold_out_rms_um(unseen, unseen.problem, compensated)
+        chosen.written.validation_rms_um(unseen, unseen.problem, compensated)
     };
     [unseen.current_file_residual_rms_um(), after_um, compensated_um]
 }
@@ -368,7 +368,7 @@ fn estimate_gauge_noise_um(
 }
 
 /// Returns the noise of neighbouring `errors`: the standard deviation of each by their differences, in µm.
-fn neighbour_noise_um(errors: &[f64]) -> f64 {
+fn estimate_neighbour_noise_um(errors: &[f64]) -> f64 {
     let differences: Vec<f64> = errors.windows(2).map(|pair| pair[1] - pair[0]).collect();
     rms(&differences) / 2.0_f64.sqrt()
 }

@@ -22,7 +22,7 @@ const MAX_PLOTTED_LINE_SERIES: usize = 12;
 /// Measured and predicted, and what is left, over the main axis.
 pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
     let data = &diagnosis.data;
-    let over = HorizontalAxis::from_data(data);
+    let over = PlotAbscissa::from_data(data);
     let (x_name, x) = over.label_and_values(data);
     let rows: Vec<usize> =
         (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
@@ -34,7 +34,7 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
     let (left_before, left_after) = (left(&before), left(&after));
     let mut lists = vec![PlotSeries::dots(&x, &measured, ColourRole::Measured)];
     let dense = match over {
-        HorizontalAxis::Position(axis) => compute_error_curves(diagnosis, axis),
+        PlotAbscissa::Position(axis) => compute_error_curves(diagnosis, axis),
         _ => [Vec::new(), Vec::new()],
     };
     for (error_curves, colour) in dense.iter().zip([ColourRole::Before, ColourRole::After]) {
@@ -87,13 +87,13 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
 
 /// The horizontal axis of the pictures.
 #[derive(Clone, Copy)]
-enum HorizontalAxis {
+enum PlotAbscissa {
     Position(LinearAxis),
     Time,
     Rows,
 }
 
-impl HorizontalAxis {
+impl PlotAbscissa {
     /// Returns the position where the axis was driven from place to place, else time, else the rows.
     fn from_data(data: &DataTable) -> Self {
         let is_driven = data.run_numbers().is_some() || data.time_s().is_none();

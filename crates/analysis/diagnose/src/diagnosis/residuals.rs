@@ -85,7 +85,7 @@ fn within_group_mean_square(
     let rows = compute_residuals(data, predicted, Some(aside));
     let residual: Vec<f64> =
         (0..data.rows).map(|row| data.measured[row] - predicted[row]).collect();
-    let own = problem.data.whole.as_ref().map(|whole| whole.select_rows(&residual));
+    let own = problem.data.whole.as_ref().map(|whole| whole.aggregate_values(&residual));
     let groups = problem.groups.means(&own.unwrap_or(residual));
     (rms(&rows).powi(2) - rms(&groups).powi(2)).max(0.0)
 }

@@ -3,7 +3,7 @@
 //! Of few rows a mean square is known badly: one gross reading makes it. Then the hold-out does not say that the promise fails, and
 //! not that it holds either; the rows that leave the most are named.
 
-use trueup_numerics::block_resampling::{Blocks, rms};
+use trueup_numerics::block_resampling::{RowBlocks, rms};
 
 use crate::{
     data::DataTable,
@@ -75,7 +75,7 @@ impl Shortfall {
         if rms(&before) <= 0.0 || rms(&after) <= most_left_um {
             return None;
         }
-        let reduction = Blocks::new(rows.len(), memory).rms_reduction(&before, &after);
+        let reduction = RowBlocks::new(rows.len(), memory).rms_reduction(&before, &after);
         let (came, most) = (reduction.value, reduction.ci95[1]);
         if came >= floor {
             return None;
@@ -93,7 +93,7 @@ impl Shortfall {
     }
 
     /// Returns whether the hold-out says that the promise fails.
-    pub(super) fn is_certain(&self) -> bool {
+    pub(super) fn is_significant(&self) -> bool {
         self.most < self.floor
     }
 
@@ -101,7 +101,9 @@ impl Shortfall {
     pub(super) fn warning(&self) -> Option<String> {
         let [floor, came, most] = [self.floor, self.came, self.most].map(|share| 100.0 * share);
         let why = match &self.gross {
-            _ if self.is_certain() || !is_meaningful_reduction_floor(self.floor) => return None,
+            _ if self.is_significant() || !is_meaningful_reduction_floor(self.floor) => {
+                return None;
+            }
             // What the runs did not have is no wrong reading.
             _ if !self.places.is_empty() => {
                 format!("But {}. Measure a run that covers this", self.places.join("; "))

@@ -34,7 +34,7 @@ impl ValidationData<'_> {
     }
 
     /// Returns what `model` leaves; without terms it is the current machine file.
-    pub(super) fn model_rms_um(&self, model: &Model) -> f64 {
+    pub(super) fn model_residual_rms_um(&self, model: &Model) -> f64 {
         if model.parts.is_empty() {
             return self.current_file_residual_rms_um();
         }

@@ -182,7 +182,8 @@ pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<Ver
         return (Verdict::DoesNotTransfer, harm);
     }
     let comes_first = matches!(verdict, Verdict::TooLittleData | Verdict::DoNotCompensate);
-    let shortfall = grounds.shortfall.filter(|shortfall| shortfall.is_certain() && !comes_first);
+    let shortfall =
+        grounds.shortfall.filter(|shortfall| shortfall.is_significant() && !comes_first);
     if let Some(Shortfall { floor, came, most, places, .. }) = shortfall {
         let mut short = vec![VerdictReason::FallsShort { floor: *floor, came: *came, most: *most }];
         short.extend(places.iter().cloned().map(VerdictReason::DiffersIn));
@@ -191,7 +192,7 @@ pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<Ver
         );
         return (Verdict::FallsShort, short);
     }
-    if transfer.is_worse() && verdict.is_resolved() {
+    if transfer.worsens_hold_out() && verdict.is_resolved() {
         return (
             Verdict::PartlyExplained,
             vec![VerdictReason::NoGainUnseen { before_um, after_um }],

@@ -58,7 +58,7 @@ pub(crate) struct WrittenTerms {
 
 impl WrittenTerms {
     /// Returns the terms of both in the machine file.
-    pub(super) fn extension_terms(&self, data: &DataTable) -> ExtensionTerms {
+    pub(super) fn to_extension_terms(&self, data: &DataTable) -> ExtensionTerms {
         let mut both = ExtensionTerms::from_model(data, &self.board);
         let explains = ExtensionTerms::from_model(data, &self.explains);
         both.replaced.extend(explains.replaced);
@@ -279,7 +279,7 @@ impl WrittenTerms {
     }
 
     /// Returns what `compensated`, as the board runs it, leaves on data that were not used for the fit.
-    pub(super) fn hold_out_rms_um(
+    pub(super) fn validation_rms_um(
         &self,
         unseen: &ValidationData<'_>,
         problem: &FitProblem,
@@ -292,7 +292,7 @@ impl WrittenTerms {
             within: unseen.within,
             test: test.as_ref().or(unseen.test),
         };
-        unseen.model_rms_um(compensated)
+        unseen.model_residual_rms_um(compensated)
     }
 
     /// Returns the mean square of what the machine does that `model` explains and the board does not run, in µm²: a

@@ -33,7 +33,7 @@ pub(super) struct InvariantColumns {
 
 impl InvariantColumns {
     /// This growth, as much of it as is in the quantity, with all that stands.
-    pub(super) fn total_with_growth(
+    pub(super) fn prediction_with_growth(
         &self,
         grown_um: impl Iterator<Item = f64>,
         data: &DataTable,
@@ -64,7 +64,10 @@ impl GrowthCache {
         self.still.get_or_insert_with(make).clone()
     }
 
-    pub(super) fn cached_temperature(&self, growth: &ThermalGrowth<'_>) -> Option<Arc<Vec<f64>>> {
+    pub(super) fn cached_projected_temperature(
+        &self,
+        growth: &ThermalGrowth<'_>,
+    ) -> Option<Arc<Vec<f64>>> {
         let asked = (growth.late, growth.lags_s);
         let found = self.warm.iter().rev().find(|(there, _)| *there == asked);
         found.map(|(_, warm)| warm.clone())
@@ -79,7 +82,7 @@ impl GrowthCache {
 }
 
 /// Returns the temperature of `growth` in groups, as much of it as of the elongation is in the quantity.
-pub(super) fn group_temperature(
+pub(super) fn projected_temperature_by_group(
     growth: &ThermalGrowth<'_>,
     data: &DataTable,
     groups: &RowGroups,

@@ -56,7 +56,7 @@ pub(crate) fn part_derivatives(
 }
 
 /// Returns the step of the difference for a value, as the fit counts it, and the value at the step's end.
-fn perturbed_value(problem: &FitProblem, part: &ModelPart, number: usize) -> (f64, f64) {
+fn step_and_perturbed_value(problem: &FitProblem, part: &ModelPart, number: usize) -> (f64, f64) {
     let value = part.values[number];
     let step = derivative_step(problem, part.kind.nonlinear_parameters().get(number), value);
     (step, if part.kind.is_log_scaled(number) { value * step.exp() } else { value + step })
@@ -74,7 +74,7 @@ fn additive_part_derivatives(problem: &FitProblem, part: &ModelPart) -> Vec<(usi
         .map(|(number, column)| (nonlinear + number, column.clone()))
         .collect();
     for number in 0..nonlinear {
-        let (step, there) = perturbed_value(problem, part, number);
+        let (step, there) = step_and_perturbed_value(problem, part, number);
         let mut values = values.to_vec();
         values[number] = there;
         let moved = problem.basis_columns(kind, &values, false);
@@ -98,7 +98,7 @@ fn finite_difference_derivatives(
 ) -> Vec<(usize, Vec<f64>)> {
     let values: Vec<usize> = (0..model.parts[index].values.len()).collect();
     parallel_map(&values, problem.is_parallel_worthwhile(), |&number| {
-        let (step, there) = perturbed_value(problem, &model.parts[index], number);
+        let (step, there) = step_and_perturbed_value(problem, &model.parts[index], number);
         let mut model = model.clone();
         model.parts[index].values[number] = there;
         let there = problem.predict(&model);

@@ -54,7 +54,7 @@ const MAX_PERIOD_TO_RECORD_RATIO: f64 = 0.4;
 pub(super) const MAX_COOLING_TIME_CONSTANT_RATIO: f64 = 5.0;
 
 /// Returns the bounds of a fit to the `groups` of `data`.
-pub(super) fn compute_bounds(data: &DataTable, groups: &RowGroups) -> ParameterBounds {
+pub(super) fn compute_parameter_bounds(data: &DataTable, groups: &RowGroups) -> ParameterBounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
         values
             .filter(|value| value.is_finite())

@@ -13,7 +13,9 @@ use super::{
     column_cache::{CacheKey, ColumnCache, GroupColumns},
     growth_cache,
     memo_table::MemoTable,
-    parameter_bounds::{MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_bounds},
+    parameter_bounds::{
+        MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_parameter_bounds,
+    },
 };
 use crate::{
     columns::basis_columns,
@@ -47,7 +49,7 @@ impl FitProblem {
     pub(crate) fn new(data: impl Into<Arc<DataTable>>, groups: RowGroups) -> Self {
         let data = data.into();
         let measured = groups.means(&data.measured);
-        let bounds = compute_bounds(&data, &groups);
+        let bounds = compute_parameter_bounds(&data, &groups);
         Self { data, groups, measured, bounds, cache: Mutex::default(), memo: MemoTable::default() }
     }
 
@@ -133,7 +135,7 @@ impl FitProblem {
             return known;
         }
         let model = Model { parts: law.iter().copied().cloned().collect(), constant_um: None };
-        let predicted = self.predict_growth(&model);
+        let predicted = self.predict_from_growth(&model);
         let predicted =
             predicted.unwrap_or_else(|| self.groups.means(&model.predict_unshifted(&self.data)));
         let predicted = Arc::new(vec![predicted]);
@@ -143,7 +145,7 @@ impl FitProblem {
 
     /// Returns the same where the parts multiply the growth, and at most correct its law where that is a factor times a
     /// temperature.
-    fn predict_growth(&self, law: &Model) -> Option<Vec<f64>> {
+    fn predict_from_growth(&self, law: &Model) -> Option<Vec<f64>> {
         let (corrects, multiplies): (Vec<&ModelPart>, Vec<&ModelPart>) =
             law.parts.iter().partition(|part| part.kind.is_constant_correction());
         let factor = |part: &&ModelPart| {
@@ -156,25 +158,27 @@ impl FitProblem {
         let constant_part = || self.lock_cache().grown.invariant_columns(&self.data, &self.groups);
         if corrects.is_empty() {
             let constant_part = (!multiplies.is_empty()).then(constant_part)?;
-            return Some(
-                constant_part.total_with_growth(
-                    constant_part.law_um.iter().map(|um| factor * um),
-                    &self.data,
-                ),
-            );
+            return Some(constant_part.prediction_with_growth(
+                constant_part.law_um.iter().map(|um| factor * um),
+                &self.data,
+            ));
         }
         let laws = MachineLaws::with_corrections(&self.data, &law.parts);
-        let growth = laws.growth(&self.data)?;
-        let known = self.lock_cache().grown.cached_temperature(&growth);
+        let growth = laws.thermal_growth(&self.data)?;
+        let known = self.lock_cache().grown.cached_projected_temperature(&growth);
         let warm = known.unwrap_or_else(|| {
-            let warm = Arc::new(growth_cache::group_temperature(&growth, &self.data, &self.groups));
+            let warm = Arc::new(growth_cache::projected_temperature_by_group(
+                &growth,
+                &self.data,
+                &self.groups,
+            ));
             self.lock_cache().grown.insert(&growth, &warm);
             warm
         });
         let (factor, reference_c) = (factor * growth.model.k_um_per_c, growth.model.reference_c);
         let constant_part = constant_part();
         let rows = warm.iter().zip(&constant_part.along);
-        Some(constant_part.total_with_growth(
+        Some(constant_part.prediction_with_growth(
             rows.map(|(warm, along)| factor * (warm - reference_c * along)),
             &self.data,
         ))
@@ -228,7 +232,7 @@ impl FitProblem {
             |value: f64, [low, high]: [f64; 2]| is_low(value, low) || is_high(value, high);
         let is_at_end = |(value, what): (&f64, &NonlinearParameter)| match what {
             NonlinearParameter::TimeConstant | NonlinearParameter::FallingTimeConstant => {
-                parameter_limits(part).is_some_and(|[low, _]| is_low(*value, low))
+                nonlinear_parameter_bounds(part).is_some_and(|[low, _]| is_low(*value, low))
                     || is_high(*value, self.bounds.time_constant_s[1])
             }
             NonlinearParameter::Period => is_outer(*value, self.bounds.period_mm),
@@ -240,10 +244,10 @@ impl FitProblem {
             | NonlinearParameter::Origin
             | NonlinearParameter::Instant => false,
             NonlinearParameter::Bend => {
-                parameter_limits(part).is_some_and(|limits| is_near(*value, limits))
+                nonlinear_parameter_bounds(part).is_some_and(|limits| is_near(*value, limits))
             }
         };
-        let limits = part.kind.cause().and_then(|cause| cause.amplitude_limits());
+        let limits = part.kind.cause().and_then(|cause| cause.amplitude_bounds());
         part.values.iter().zip(nonlinear).any(is_at_end)
             || limits.is_some_and(|limits| {
                 part.values[nonlinear.len()..].iter().any(|value| is_near(*value, limits))
@@ -274,7 +278,7 @@ impl FitProblem {
         let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
         for part in &mut model.parts {
             let nonlinear = part.kind.nonlinear_parameters();
-            let own = parameter_limits(part);
+            let own = nonlinear_parameter_bounds(part);
             for (value, what) in part.values.iter_mut().zip(nonlinear) {
                 match what {
                     NonlinearParameter::TimeConstant => {
@@ -306,7 +310,7 @@ impl FitProblem {
                     | NonlinearParameter::Instant => {}
                 }
             }
-            if let Some(limits) = part.kind.cause().and_then(|cause| cause.amplitude_limits()) {
+            if let Some(limits) = part.kind.cause().and_then(|cause| cause.amplitude_bounds()) {
                 part.values[nonlinear.len()..].iter_mut().for_each(|value| held(value, limits));
             }
         }
@@ -314,8 +318,8 @@ impl FitProblem {
 }
 
 /// Returns the range of a part's only nonlinear value, where its page knows it.
-fn parameter_limits(part: &ModelPart) -> Option<[f64; 2]> {
-    part.kind.cause().and_then(|cause| cause.nonlinear_limits())
+fn nonlinear_parameter_bounds(part: &ModelPart) -> Option<[f64; 2]> {
+    part.kind.cause().and_then(|cause| cause.nonlinear_parameter_bounds())
 }
 
 #[cfg(test)]

@@ -73,7 +73,7 @@ fn find_alias_periods(
         let period_mm = 1.0 / frequency;
         let is_new = found.iter().all(|(there, _)| is_apart(period_mm, *there));
         if is_new && is_apart(period_mm, part.values[0]) {
-            let gap = case.bic_difference(&own, &left(period_mm));
+            let gap = case.bic_gap_between(&own, &left(period_mm));
             if gap < STRONG_EVIDENCE_BIC_DIFFERENCE {
                 found.push((period_mm, gap));
             }

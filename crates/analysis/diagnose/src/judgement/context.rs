@@ -43,7 +43,7 @@ impl<'c> JudgementContext<'c> {
     }
 
     /// By how much the BIC of `other` is worse than that of `own`; both with as many values.
-    pub(crate) fn bic_difference(&self, own: &FittedModel, other: &FittedModel) -> f64 {
+    pub(crate) fn bic_gap_between(&self, own: &FittedModel, other: &FittedModel) -> f64 {
         bic_gap(self.problem, own, other)
     }
 

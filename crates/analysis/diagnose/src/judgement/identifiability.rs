@@ -25,7 +25,7 @@ pub(crate) fn is_identified(case: &JudgementContext<'_>, cause: &TermKind, is_kn
         || is_known
             && has_stable_time_constant(case, cause)
             && (is_at_most(MAX_HELD_OUT_RMS_RATIO) || !is_late)
-            && is_path_repeated(&case.problem.data, cause)
+            && is_heat_path_repeated(&case.problem.data, cause)
 }
 
 /// Returns whether a time constant is about the same whatever part of the record is held out, or short next to
@@ -45,7 +45,7 @@ fn has_stable_time_constant(case: &JudgementContext<'_>, cause: &TermKind) -> bo
 /// Returns whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
 /// rises late and falls late is a path. The column must have turned three times by a tenth of its
 /// range, in all records together.
-fn is_path_repeated(data: &DataTable, kind: &TermKind) -> bool {
+fn is_heat_path_repeated(data: &DataTable, kind: &TermKind) -> bool {
     let Some(path) = kind.heat_path().filter(|path| path.has_lag) else { return true };
     let Some(values) = column_by_name(data, path.column) else { return true };
     let (low, high) = values
@@ -91,9 +91,9 @@ mod tests {
     #[test]
     fn a_slow_path_is_seen_again_once_it_has_warmed_twice() {
         let slow = TermKind::heat_of("temp_table_c", true);
-        assert!(!is_path_repeated(&record(1), &slow));
-        assert!(is_path_repeated(&record(2), &slow));
+        assert!(!is_heat_path_repeated(&record(1), &slow));
+        assert!(is_heat_path_repeated(&record(2), &slow));
         let plain = TermKind::heat_of("temp_table_c", false);
-        assert!(is_path_repeated(&record(1), &plain));
+        assert!(is_heat_path_repeated(&record(1), &plain));
     }
 }

@@ -73,7 +73,7 @@ pub(crate) fn find_initial_state_law(
         return None;
     }
     let answer = &case.found.fitted;
-    let begins = |fitted: &FittedModel| match fitted.model.unsettled_start() {
+    let begins = |fitted: &FittedModel| match fitted.model.find_initial_transient() {
         Some([start, late]) if start.kind == part.kind => Some(late.kind.clone()),
         _ => None,
     };

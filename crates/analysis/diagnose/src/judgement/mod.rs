@@ -70,7 +70,7 @@ use crate::{
     search::{
         AddedTerm, SearchOutcome,
         extension::{fit_replacements, without_term},
-        interaction::fit_single_term_replacements,
+        interaction::fit_interaction_replacements,
         lack_of_fit::CurveInputs,
         model_comparison::{STRONG_EVIDENCE_BIC_DIFFERENCE, bic},
         range_bound,
@@ -164,13 +164,13 @@ pub(crate) fn judge_terms(problem: &FitProblem, found: &SearchOutcome) -> Vec<Te
     withdraw_constant_claims_near_bounds(&mut judged);
     withdraw_substitute_law_dependent_claims(&case, &mut judged);
     withdraw_open_term_part_claims(&mut judged);
-    drop_record_dependent_terms(&mut judged);
+    drop_terms_of_uncertain_size(&mut judged);
     judged
 }
 
 /// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what
 /// takes two inputs together.
-fn find_equivalent_single_term(case: &JudgementContext<'_>, cause: &TermKind) -> Option<TermKind> {
+fn find_equivalent_interaction(case: &JudgementContext<'_>, cause: &TermKind) -> Option<TermKind> {
     if !cause.is_interaction() {
         return None;
     }
@@ -179,7 +179,7 @@ fn find_equivalent_single_term(case: &JudgementContext<'_>, cause: &TermKind) ->
     if let Some(other) = others.find(|other| *other != cause && other.column() == cause.column()) {
         return Some(other.clone());
     }
-    let alone = fit_single_term_replacements(case.problem, &case.found.fitted, [cause]);
+    let alone = fit_interaction_replacements(case.problem, &case.found.fitted, [cause]);
     let other =
         alone.into_iter().filter(|extension| !case.found.fitted.model.contains(&extension.cause));
     let near = other.filter(|extension| {
@@ -205,7 +205,7 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<TermJudg
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Caveat::AlternativeCause(rival.cause.clone())));
     if doubts.is_empty() {
-        doubts.extend(find_equivalent_single_term(case, cause).map(Caveat::AlternativeCause));
+        doubts.extend(find_equivalent_interaction(case, cause).map(Caveat::AlternativeCause));
     }
     doubts.extend(find_insufficient_table(case, part).map(Caveat::AbsorbedByFinerTable));
     let same = part.kind.cause().filter(|_| problem.data.setting.is_one_pass);
@@ -216,11 +216,11 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<TermJudg
         Some(repeat_evidence) if repeat_evidence.is_confirmed => {}
         Some(_) => doubts.push(Caveat::NotRepeatable),
         None => {
-            doubts.extend(value_caveats(case, part, &without, &estimates, &left_out_without));
+            doubts.extend(find_value_caveats(case, part, &without, &estimates, &left_out_without));
             doubts
                 .extend(is_zero_gain_within_interval(part, &gain).then_some(Caveat::GainMayBeZero));
             let is_known = estimates.is_determined;
-            doubts.extend(find_residual_caveats(case, cause, &without, is_known));
+            doubts.extend(find_identification_caveats(case, cause, &without, is_known));
         }
     }
     // What may be nothing, or another wave between the places, is corrected only if it is predicted.
@@ -250,7 +250,7 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<TermJudg
 
 /// Why it is doubted how much a term does, by its values and by what the answer leaves `without` it on
 /// held-out blocks.
-fn value_caveats(
+fn find_value_caveats(
     case: &JudgementContext<'_>,
     part: &ModelPart,
     without: &FittedModel,
@@ -287,7 +287,7 @@ fn value_caveats(
 }
 
 /// Why the name of a term is not claimed, by what the answer leaves with it, and `without` it.
-fn find_residual_caveats(
+fn find_identification_caveats(
     case: &JudgementContext<'_>,
     cause: &TermKind,
     without: &FittedModel,
@@ -371,7 +371,7 @@ fn withdraw_open_term_part_claims(judged: &mut [TermJudgement]) {
 /// Next to what is of this record alone, and is omitted, the others are right as they are; but of one whose
 /// interval includes zero the size is not known there either. The two may be large and take each other back, so
 /// that what is left of them on another day is neither: it is not handed out alone.
-fn drop_record_dependent_terms(judged: &mut [TermJudgement]) {
+fn drop_terms_of_uncertain_size(judged: &mut [TermJudgement]) {
     if judged.iter().any(|judgement| !judgement.is_kept && judgement.is_record_specific()) {
         let is_unsure = |judgement: &&mut TermJudgement| {
             judgement.cause().is_compensable() && judgement.doubts.contains(&Caveat::SizeMayBeZero)
@@ -471,7 +471,7 @@ mod tests {
             let slow = judgement(vec![Caveat::SlowerThanRecord], slow_is_kept);
             let unsure = judgement(vec![Caveat::SizeMayBeZero, Caveat::NotIdentified], true);
             let mut all = vec![slow, unsure, judgement(Vec::new(), true)];
-            drop_record_dependent_terms(&mut all);
+            drop_terms_of_uncertain_size(&mut all);
             all.iter().map(|judgement| judgement.is_kept).collect::<Vec<_>>()
         };
         assert_eq!(kept(false), [false, false, true]);

@@ -8,7 +8,7 @@ use trueup_numerics::repeats::{InterpolationCheck, TableLaw, check_interpolation
 use crate::{
     judgement::context::JudgementContext,
     repeats::TargetPositions,
-    search::table::{residual_readings, without_own_axis_terms},
+    search::table_from_repeats::{residual_readings, without_own_axis_terms},
     term_kind::TermKind,
 };
 
@@ -66,14 +66,14 @@ pub(crate) fn evaluate_repeats(
         between: between.map(|found| InterpolationAccuracy {
             found,
             axis: targets.own.name(),
-            next_mm: next_positions_mm(&targets.at_mm),
+            next_mm: suggest_positions_mm(&targets.at_mm),
         }),
     })
 }
 
 /// Returns a position in each gap between the places, or in as many evenly chosen: not all in the middle, so that
 /// they have no common distance that an error could repeat with.
-fn next_positions_mm(at_mm: &[f64]) -> Vec<f64> {
+fn suggest_positions_mm(at_mm: &[f64]) -> Vec<f64> {
     /// The fraction by which the golden section moves on: no two of a few come near each other.
     const INVERSE_GOLDEN_RATIO: f64 = 0.618_034;
     let gaps = at_mm.len().saturating_sub(1);
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn positions_to_measure_next_are_in_the_gaps_and_at_uneven_distances() {
         let at: Vec<f64> = (0..9).map(|n| -20.0 + 5.0 * f64::from(n)).collect();
-        let next = next_positions_mm(&at);
+        let next = suggest_positions_mm(&at);
         assert_eq!(next.len(), 8);
         let mut steps = Vec::new();
         for (n, mm) in next.iter().enumerate() {
@@ -139,6 +139,6 @@ mod tests {
         assert!(most - least > 1.0, "{steps:?}");
         // Of many gaps not more than a cycle has.
         let many: Vec<f64> = (0..41).map(f64::from).collect();
-        assert_eq!(next_positions_mm(&many).len(), MAX_SUGGESTED_POSITIONS);
+        assert_eq!(suggest_positions_mm(&many).len(), MAX_SUGGESTED_POSITIONS);
     }
 }

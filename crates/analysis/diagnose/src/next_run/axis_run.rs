@@ -113,7 +113,7 @@ impl AxisRun {
 }
 
 /// The behaviour of an axis and its columns in the runs.
-pub(super) struct AxisForecast {
+pub(super) struct AxisForecaster {
     axis: LinearAxis,
     /// How long it stands for a reading, in s.
     dwell_s: f64,
@@ -128,7 +128,7 @@ pub(super) struct AxisForecast {
     warms: Vec<(String, f64)>,
 }
 
-impl AxisForecast {
+impl AxisForecaster {
     /// # Errors
     /// The runs lack what a run of an axis is described by.
     pub(super) fn from_runs(
@@ -352,7 +352,7 @@ mod tests {
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let runs = [run];
         let foresight =
-            AxisForecast::from_runs(&runs, &machine, LinearAxis::X, ReadingMethod::Auto)
+            AxisForecaster::from_runs(&runs, &machine, LinearAxis::X, ReadingMethod::Auto)
                 .expect("an axis");
         let training = DataTable::new(&machine, &runs, Quantity::Dx).expect("comparable");
         let all = foresight.candidate_runs();

@@ -123,7 +123,7 @@ impl ModelPair {
 
     /// Returns how far `run` sets the two apart, whatever it measures.
     pub(crate) fn separation(&self, run: &DataTable) -> Separation {
-        let day = self.whiten_run(run);
+        let day = self.prepare_run(run);
         let [one, other] = [0, 1].map(|n| day.problem.predict(&self.sides[n].model));
         let apart: Vec<f64> = one.iter().zip(&other).map(|(one, other)| one - other).collect();
         let difference_um = apart.iter().fold(0.0, |most: f64, um| most.max(um.abs()));
@@ -133,8 +133,8 @@ impl ModelPair {
 
     /// Returns what `run` has measured for the first against the second: −2·ln of the likelihood ratio, above 0 for the
     /// first.
-    pub(crate) fn log_likelihood_ratio(&self, run: &DataTable) -> f64 {
-        let day = self.whiten_run(run);
+    pub(crate) fn likelihood_ratio_statistic(&self, run: &DataTable) -> f64 {
+        let day = self.prepare_run(run);
         let measured = day.problem.groups.means(&run.measured);
         let [one, other] = [0, 1].map(|n| {
             let predicted = day.problem.predict(&self.sides[n].model);
@@ -145,7 +145,7 @@ impl ModelPair {
         other - one
     }
 
-    fn whiten_run(&self, run: &DataTable) -> WhitenedRun {
+    fn prepare_run(&self, run: &DataTable) -> PreparedRun {
         let data = Arc::new(run.clone());
         let groups = RowGroups::new(&data, &data.used, 1);
         let problem = FitProblem::new(data, groups);
@@ -153,14 +153,14 @@ impl ModelPair {
         let noise =
             if memory > 0.0 { NoiseModel { memory, white: self.white } } else { NoiseModel::WHITE };
         let whitener = Whitener::new(noise, &problem.groups.steps);
-        WhitenedRun { problem, whitener }
+        PreparedRun { problem, whitener }
     }
 
     /// lᵀ·V⁻¹·l of a list, and ln det V but for what is the same for both sides.
     fn quadratic_form_and_log_det(
         &self,
         side: &Hypothesis,
-        day: &WhitenedRun,
+        day: &PreparedRun,
         list: &[f64],
     ) -> [f64; 2] {
         let list = day.whitener.whiten(list);
@@ -191,7 +191,7 @@ impl ModelPair {
 }
 
 /// A run that is looked at.
-struct WhitenedRun {
+struct PreparedRun {
     problem: FitProblem,
     whitener: Whitener,
 }
@@ -256,7 +256,7 @@ mod tests {
         let Separation { gap, difference_um } = question.separation(&air);
         assert!((gap - 1372.0).abs() < 1e-3 && (difference_um - 18.0).abs() < 1e-6, "{gap}");
         // It measures what speed predicts: the squares of load are 2744, and speed has paid ln(1 + 1) for its freedom.
-        let score = question.log_likelihood_ratio(&air);
+        let score = question.likelihood_ratio_statistic(&air);
         assert!((score - (2744.0 - std::f64::consts::LN_2)).abs() < 1e-3, "{score}");
         // With load as in the training nothing is apart.
         assert!(question.separation(&table(100.0, |q, _| 2.0 * q)).gap < 1e-9);

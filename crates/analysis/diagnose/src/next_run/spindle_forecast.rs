@@ -22,12 +22,12 @@ const CANDIDATE_LAGS_S: [f64; 16] = [
     5400.0, 7600.0, 10_800.0,
 ];
 /// Heat grows with the speed by such a power: friction of a load (1) to that of a liquid (2).
-const SPEED_EXPONENTS: [f64; 3] = [1.0, 1.5, 2.0];
+const CANDIDATE_SPEED_EXPONENTS: [f64; 3] = [1.0, 1.5, 2.0];
 /// Rows that are looked at: enough for four constants.
 const MAX_FITTED_ROWS: usize = 600;
 
 /// The behaviour of the spindle and of the input columns in the runs.
-pub(super) struct SpindleForecast {
+pub(super) struct SpindleForecaster {
     /// In r/min.
     pub fastest_rpm: f64,
     /// The largest load in N, where the runs have one.
@@ -74,7 +74,7 @@ pub(super) fn is_input_column(name: &str) -> bool {
     !NON_INPUT_COLUMN_PREFIXES.iter().any(|start| name.starts_with(start))
 }
 
-impl SpindleForecast {
+impl SpindleForecaster {
     /// # Errors
     /// The runs lack what a run of a spindle is described by.
     pub(super) fn from_runs(runs: &[RunFile], gauge: ReadingMethod) -> Result<Self, &'static str> {
@@ -206,7 +206,7 @@ impl ColumnResponse {
         // A constant that nothing determines is pulled to 0.
         let pull = (DETERMINACY_THRESHOLD * there.len() as f64).sqrt();
         let mut best: Option<(f64, Self)> = None;
-        for power in SPEED_EXPONENTS {
+        for power in CANDIDATE_SPEED_EXPONENTS {
             for lag_s in CANDIDATE_LAGS_S {
                 let heat = lagged_heat(rows, power, lag_s);
                 let mut triangle = GivensQr::new(4);
@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn a_thermometer_is_foreseen_at_a_speed_that_was_not_run() {
         let foresight =
-            SpindleForecast::from_runs(&[run(12_000.0).0, run(8000.0).0], ReadingMethod::Hand)
+            SpindleForecaster::from_runs(&[run(12_000.0).0, run(8000.0).0], ReadingMethod::Hand)
                 .expect("it is a run");
         assert_eq!((foresight.fastest_rpm, foresight.every_s), (12_000.0, 60.0));
         let (name, response) = &foresight.columns[0];

@@ -3,7 +3,7 @@
 //! No bearing is brought from rest to a high speed: each run begins with a run-in, a few minutes at each of the slower
 //! speeds. It is part of the run, so that its heat is predicted.
 
-use super::{SpindleSegment, spindle_forecast::SpindleForecast};
+use super::{SpindleSegment, spindle_forecast::SpindleForecaster};
 
 /// Shares of the fastest speed that was run.
 const SPEED_FRACTIONS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
@@ -18,10 +18,10 @@ const SPEED_PULSE_COUNTS: [usize; 4] = [1, 2, 4, 8];
 const MAX_RUN_DURATION_MIN: f64 = 90.0;
 /// How long a run-in stays at each of the slower speeds, in minutes: makers of spindles require some minutes at a
 /// quarter, a half and three quarters of the highest speed.
-const RUN_IN_DURATION_MIN: f64 = 3.0;
+const RUN_IN_STEP_DURATION_MIN: f64 = 3.0;
 
 /// Returns all of them.
-pub(super) fn spindle_candidates(foresight: &SpindleForecast) -> Vec<Vec<SpindleSegment>> {
+pub(super) fn candidate_spindle_runs(foresight: &SpindleForecaster) -> Vec<Vec<SpindleSegment>> {
     let speeds =
         SPEED_FRACTIONS.map(|share| (share * foresight.fastest_rpm / 100.0).round() * 100.0);
     let stretch = |rpm: f64, minutes: f64| SpindleSegment { rpm, minutes, load_n: 0.0 };
@@ -71,7 +71,7 @@ fn insert_run_ins(run: Vec<SpindleSegment>, speeds: &[f64]) -> Vec<SpindleSegmen
         let slower = speeds.iter().filter(|rpm| **rpm > highest_rpm && **rpm < stretch.rpm);
         whole.extend(slower.map(|rpm| SpindleSegment {
             rpm: *rpm,
-            minutes: RUN_IN_DURATION_MIN,
+            minutes: RUN_IN_STEP_DURATION_MIN,
             load_n: 0.0,
         }));
         highest_rpm = stretch.rpm.max(highest_rpm);
@@ -92,7 +92,7 @@ mod tests {
         let whole = insert_run_ins(run, &speeds);
         let rpm: Vec<f64> = whole.iter().map(|segment| segment.rpm).collect();
         assert_eq!(rpm, [0.0, 3000.0, 6000.0, 9000.0, 12_000.0, 6000.0]);
-        assert_eq!(whole[1].minutes, RUN_IN_DURATION_MIN);
+        assert_eq!(whole[1].minutes, RUN_IN_STEP_DURATION_MIN);
         let slow = vec![stretch(3000.0, 5.0)];
         assert_eq!(insert_run_ins(slow.clone(), &speeds), slow);
     }

@@ -115,7 +115,7 @@ fn fit_ridge(
     };
     let ridges = std::iter::successors(Some(ridge), |ridge| Some(10.0 * ridge));
     let ridges = ridges.take_while(|ridge| *ridge <= MAX_RIDGE_PENALTY);
-    let mut solutions = ridges.map(|ridge| moments.solve(&all, ridge));
+    let mut solutions = ridges.map(|ridge| moments.solve_ridge(&all, ridge));
     let Some(amplitudes) = solutions.find(is_possible) else { return CompactModel::default() };
     let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
     let constant_um = if has_constant { moments.mean_y - of_mean } else { 0.0 };
@@ -179,7 +179,7 @@ impl SecondMoments {
     }
 
     /// Returns the amplitudes of these columns, held back by a ridge on columns of unit variance.
-    fn solve(&self, columns: &[usize], ridge: f64) -> DVector<f64> {
+    fn solve_ridge(&self, columns: &[usize], ridge: f64) -> DVector<f64> {
         let penalty =
             |column: usize| ridge * self.rows * self.size[column].powi(2) + f64::MIN_POSITIVE;
         let gram = DMatrix::from_fn(columns.len(), columns.len(), |row, column| {
@@ -224,7 +224,7 @@ impl SubsetSearch<'_> {
     fn held_out_squares_by_subsample(&self, set: &[usize]) -> Vec<f64> {
         let columns: Vec<usize> = set.iter().flat_map(|&n| self.columns[n].clone()).collect();
         let of = |judge: &SubsampleMoments| {
-            let amplitudes = judge.inside.solve(&columns, SUBSAMPLE_RIDGE_PENALTY);
+            let amplitudes = judge.inside.solve_ridge(&columns, SUBSAMPLE_RIDGE_PENALTY);
             judge.outside.residual_sum_of_squares(&columns, &amplitudes)
         };
         self.judges.iter().map(of).collect()
@@ -242,7 +242,7 @@ impl SubsetSearch<'_> {
     }
 
     /// Returns the best set with one candidate more, and what it leaves.
-    fn best_addition(&self, set: &[usize], is_large: bool) -> Option<(Vec<usize>, f64)> {
+    fn find_best_addition(&self, set: &[usize], is_large: bool) -> Option<(Vec<usize>, f64)> {
         let with = |n: &usize| {
             let joined = [set, &[*n]].concat();
             let sum = self.held_out_sum_of_squares(&joined);
@@ -253,11 +253,11 @@ impl SubsetSearch<'_> {
     }
 
     /// Returns the best set of each size, as far as it falls.
-    fn best_subsets(&self, is_large: bool) -> Vec<Vec<usize>> {
+    fn find_best_subsets(&self, is_large: bool) -> Vec<Vec<usize>> {
         let mut path: Vec<Vec<usize>> = Vec::new();
         let (mut set, mut least) = (Vec::new(), f64::INFINITY);
         while path.len() < MAX_COMPACT_MODEL_TERMS {
-            let Some((joined, sum)) = self.best_addition(&set, is_large) else { break };
+            let Some((joined, sum)) = self.find_best_addition(&set, is_large) else { break };
             let (exchanged, sum) = self.exchange_terms(joined, sum, is_large);
             if sum >= least {
                 break;
@@ -277,7 +277,7 @@ impl SubsetSearch<'_> {
         for number in (0..set.len()).rev().skip(1) {
             let mut rest = set.clone();
             rest.remove(number);
-            if let Some((other, less)) = self.best_addition(&rest, is_large)
+            if let Some((other, less)) = self.find_best_addition(&rest, is_large)
                 && less < (1.0 - MIN_RELATIVE_EXCHANGE_GAIN) * sum
             {
                 (set, sum) = (other, less);
@@ -348,7 +348,7 @@ pub(super) fn select_compact_model(
         SubsampleMoments { inside, outside }
     });
     let sets = SubsetSearch { dictionary, candidates, columns, judges };
-    let set = sets.smallest_subset_within_one_se(&sets.best_subsets(is_large));
+    let set = sets.smallest_subset_within_one_se(&sets.find_best_subsets(is_large));
     let terms: Vec<usize> = set.iter().map(|&n| sets.candidates[n]).collect();
     let target: Vec<f64> = rows
         .iter()

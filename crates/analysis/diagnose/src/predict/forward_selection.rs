@@ -200,7 +200,7 @@ fn standard_error_of_sum(values: &[f64]) -> f64 {
 }
 
 /// Returns the integrated autocorrelation time of a residual in rows, up to where the correlation falls below 0.05.
-pub(super) fn autocorrelation_time(residual: &[f64]) -> f64 {
+pub(super) fn autocorrelation_time_rows(residual: &[f64]) -> f64 {
     const MIN_AUTOCORRELATION: f64 = 0.05;
     let count = residual.len();
     let mean = residual.iter().sum::<f64>() / count.max(1) as f64;
@@ -247,9 +247,9 @@ mod tests {
             })
             .collect();
         assert!(
-            (autocorrelation_time(&residual) - 2.875).abs() < 0.1,
+            (autocorrelation_time_rows(&residual) - 2.875).abs() < 0.1,
             "{}",
-            autocorrelation_time(&residual)
+            autocorrelation_time_rows(&residual)
         );
     }
 }

@@ -26,7 +26,7 @@ use crate::{
     predict::{
         compact_model::{CompactModel, fit_terms, select_compact_model},
         dictionary::TermDictionary,
-        forward_selection::{ForwardSelection, autocorrelation_time},
+        forward_selection::{ForwardSelection, autocorrelation_time_rows},
     },
     search::initial_model,
 };
@@ -138,7 +138,7 @@ impl SubsampleSelection<'_> {
                 self.y,
                 rows,
             );
-            let length = BLOCK_LENGTH_CORRELATION_TIMES * autocorrelation_time(&left);
+            let length = BLOCK_LENGTH_CORRELATION_TIMES * autocorrelation_time_rows(&left);
             let most = (count as f64 / length).min(count as f64 / 8.0) as usize;
             blocks = segment_indices(
                 count,

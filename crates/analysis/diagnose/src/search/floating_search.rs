@@ -106,8 +106,8 @@ impl Search<'_> {
             .flatten()
             .find_map(|by| {
                 let way = |with_lists| FloatingSearchOptions { by, with_lists, price };
-                self.floating_search(&own.fitted, &own, way(true))
-                    .or_else(|| self.floating_search(plain.as_ref()?, &own, way(false)))
+                self.find_better_model(&own.fitted, &own, way(true))
+                    .or_else(|| self.find_better_model(plain.as_ref()?, &own, way(false)))
             });
         let Some(found) = found else { return false };
         self.adopt_model(found, &own);
@@ -167,7 +167,7 @@ impl Search<'_> {
     }
 
     /// Returns the best model on a way from `start` that is better than the `own`.
-    fn floating_search(
+    fn find_better_model(
         &self,
         start: &FittedModel,
         own: &ScoredModel,
@@ -262,7 +262,8 @@ impl Search<'_> {
         .next();
         match with_start {
             Some(with)
-                if with.bic + price < new.bic && with.fitted.model.unsettled_start().is_some() =>
+                if with.bic + price < new.bic
+                    && with.fitted.model.find_initial_transient().is_some() =>
             {
                 ModelExtension { cause: new.cause, ..with }
             }

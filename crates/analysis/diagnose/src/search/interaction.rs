@@ -1,7 +1,7 @@
 //! Causes that take two recorded inputs together: alone in the place of simpler terms, or a difference for two paths of
 //! heat.
 
-use trueup_machine::effect::Input;
+use trueup_machine::effect::LawInput;
 
 use crate::{
     candidates::all_candidates,
@@ -16,11 +16,11 @@ use crate::{
 };
 
 /// Those that are fitted in the place of all terms over a column.
-const MAX_SINGLE_REPLACEMENTS: usize = 10;
+const MAX_INTERACTION_REPLACEMENTS: usize = 10;
 
 /// Returns what takes two inputs together comes last, next to simpler terms that have stood for it. Returns models with
 /// one alone in the place of all terms of `fitted` that read the column of one of `causes`.
-pub(crate) fn fit_single_term_replacements<'k>(
+pub(crate) fn fit_interaction_replacements<'k>(
     problem: &FitProblem,
     fitted: &FittedModel,
     causes: impl IntoIterator<Item = &'k TermKind>,
@@ -37,7 +37,7 @@ pub(crate) fn fit_single_term_replacements<'k>(
         let base = fit(problem, &model, None);
         let mut candidates = all_candidates(problem, &base.model, &base.residual);
         candidates.retain(|candidate| candidate.kind.is_interaction() && is_of_it(&candidate.kind));
-        fit_extensions(problem, &base, &candidates, MAX_SINGLE_REPLACEMENTS)
+        fit_extensions(problem, &base, &candidates, MAX_INTERACTION_REPLACEMENTS)
     });
     alone.collect()
 }
@@ -85,7 +85,8 @@ impl Search<'_> {
             .collect();
         for (number, (first, one)) in paths.iter().enumerate() {
             for (second, other) in &paths[number + 1..] {
-                let Some(with) = self.fit_with_difference([first, second], [one, other]) else {
+                let Some(with) = self.fit_with_column_difference([first, second], [one, other])
+                else {
                     continue;
                 };
                 let is_predicted = || {
@@ -106,7 +107,7 @@ impl Search<'_> {
     }
 
     /// Returns the model with the difference of two columns in the place of two paths.
-    fn fit_with_difference(
+    fn fit_with_column_difference(
         &self,
         paths: [&TermKind; 2],
         columns: [&str; 2],
@@ -121,8 +122,8 @@ impl Search<'_> {
         model.parts.retain(|part| !paths.contains(&&part.kind));
         let reads = |kind: &TermKind, column: &str| {
             kind.cause().is_some_and(|cause| {
-                let of = |input: &Input<'_>| {
-                    matches!(input, Input::Temperature { column: there, .. } if *there == column)
+                let of = |input: &LawInput<'_>| {
+                    matches!(input, LawInput::Temperature { column: there, .. } if *there == column)
                 };
                 cause.required_inputs().iter().any(of)
             })

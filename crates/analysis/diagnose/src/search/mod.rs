@@ -37,7 +37,7 @@ mod scan_statistics;
 pub(crate) mod search_state;
 pub(crate) mod simplification;
 pub(crate) mod smoothing;
-pub(crate) mod table;
+pub(crate) mod table_from_repeats;
 mod term_revision;
 
 use trueup_numerics::noise::NoiseModel;
@@ -55,7 +55,7 @@ use crate::{
 };
 use extension::fit_scan_hits;
 use extension_choice::{ChosenExtension, SelectionOutcome, choose_extension, find_suppressor_pair};
-use interaction::fit_single_term_replacements;
+use interaction::fit_interaction_replacements;
 use lack_of_fit::{CurveInputs, LackOfFit};
 use model_comparison::{degrees_of_freedom, estimate_noise};
 use scan::{NoiseSimulation, ScanHit, ScanResult, scan};
@@ -177,7 +177,7 @@ impl Search<'_> {
         let mut options = fit_scan_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
         if self.stage == SearchStage::Composed {
             let causes = self.added.iter().map(|term| &term.cause);
-            let alone = fit_single_term_replacements(self.problem, &self.fitted, causes);
+            let alone = fit_interaction_replacements(self.problem, &self.fitted, causes);
             let bic = self.bic();
             options.extend(alone.into_iter().filter(|extension| extension.bic < bic));
             options.retain(|option| !self.is_interaction_cancelling_other_term(option));
@@ -226,7 +226,7 @@ impl Search<'_> {
         progress: &mut dyn FnMut(&str, f64),
     ) -> RoundOutcome {
         let is_empty = self.added.is_empty();
-        if self.stage == SearchStage::All && is_empty {
+        if self.stage == SearchStage::TimeAndLagged && is_empty {
             let limit = scanned.likelihood_limit.unwrap_or(0.0);
             if let Some(ChosenExtension { fitted, causes, gain, .. }) =
                 find_suppressor_pair(self, &scanned.hits, tier, limit)
@@ -250,7 +250,7 @@ impl Search<'_> {
             return RoundOutcome::Widened;
         }
         let work = self.problem.groups.len() * degrees_of_freedom(&self.fitted.model);
-        if !is_empty && self.mark_lookahead_done() {
+        if !is_empty && self.record_new_lookahead() {
             progress("looking several terms ahead", f64::NAN);
             let is_cheap = work < MAX_LOOKAHEAD_COST;
             if self.replace_lists_by_plain_terms()
@@ -270,7 +270,7 @@ impl Search<'_> {
             }
         }
         // Many candidates, any of which may imitate a simple one: last.
-        if self.stage == SearchStage::All && self.breadth == SearchScope::Composed {
+        if self.stage == SearchStage::TimeAndLagged && self.breadth == SearchScope::Composed {
             self.stage = SearchStage::Composed;
             return RoundOutcome::Widened;
         }

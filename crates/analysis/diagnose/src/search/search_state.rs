@@ -53,7 +53,7 @@ pub(crate) enum SearchStage {
     /// Other recorded inputs that act at once.
     Instantaneous,
     /// Time alone, and what acts late.
-    All,
+    TimeAndLagged,
     /// Causes that take two recorded inputs together: the difference of two, or a range of one.
     Composed,
     /// Causes that are periodic in time alone: before all else is tried, they would follow what is missing.
@@ -72,7 +72,7 @@ impl SearchStage {
         match self {
             Self::OwnModel => cause.tier() == 0,
             Self::Instantaneous => cause.tier() == 0 || cause.tier() <= 1 && !is_late,
-            Self::All | Self::PeriodicInTime | Self::Composed => true,
+            Self::TimeAndLagged | Self::PeriodicInTime | Self::Composed => true,
         }
     }
 
@@ -80,8 +80,8 @@ impl SearchStage {
     pub(crate) fn next_stage(self) -> Option<Self> {
         match self {
             Self::OwnModel => Some(Self::Instantaneous),
-            Self::Instantaneous => Some(Self::All),
-            Self::All | Self::PeriodicInTime | Self::Composed => None,
+            Self::Instantaneous => Some(Self::TimeAndLagged),
+            Self::TimeAndLagged | Self::PeriodicInTime | Self::Composed => None,
         }
     }
 }
@@ -194,7 +194,7 @@ impl<'p> Search<'p> {
 
     /// Returns whether several terms ahead have never been looked at from these causes; they have now. A failure to
     /// improve another model says nothing of this one.
-    pub(crate) fn mark_lookahead_done(&mut self) -> bool {
+    pub(crate) fn record_new_lookahead(&mut self) -> bool {
         let here: Vec<TermKind> =
             self.fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
         let is_same = |there: &Vec<TermKind>| {

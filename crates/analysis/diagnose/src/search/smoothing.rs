@@ -46,7 +46,7 @@ fn holds_with_smoothing(
     let lag_s = part.values.first().map_or(0.0, |lag_s| lag_s.max(mean_row_interval_s(problem)));
     let column = part.kind.column();
     let of = |times: &f64| {
-        let smooth = MachineLaws::table_with_smoothed_thermometers(
+        let smooth = MachineLaws::table_with_smooth_temperatures(
             &problem.data,
             column.as_deref(),
             times * lag_s,

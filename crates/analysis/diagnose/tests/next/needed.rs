@@ -44,7 +44,7 @@ pub struct Needed {
 fn minutes_until_decided(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
     let score = |rows: usize| {
         let part = run.with_altered_values(rows, |_, _| {});
-        diagnosis.log_likelihood_ratio(&part).expect("all columns").expect("open")
+        diagnosis.likelihood_ratio_statistic(&part).expect("all columns").expect("open")
     };
     let whole = score(run.row_count());
     let is_decided = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
@@ -79,7 +79,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
             minutes_until_decided(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
         });
         let measured =
-            diagnosis.log_likelihood_ratio(&planned).expect("all columns").expect("open");
+            diagnosis.likelihood_ratio_statistic(&planned).expect("all columns").expect("open");
         println!(
             "seed {seed} ({}): {}; measured {measured:.0}, decided after {own:.1?} of {:.1} min, by the fixed cycles after \
              {cycles:.1?}",

@@ -12,7 +12,7 @@ use crate::needed::{Tried, needed};
 fn recorded(trial: &SpindleTrial, stretches: &[SpindleSegment], day: u64) -> RunFile {
     let pieces: Vec<(f64, f64)> =
         stretches.iter().map(|stretch| (stretch.rpm, stretch.minutes)).collect();
-    let csv = trial.run(&pieces, day);
+    let csv = trial.simulate_day(&pieces, day);
     RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file")
 }
 

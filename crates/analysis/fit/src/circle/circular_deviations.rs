@@ -49,7 +49,7 @@ impl CircularDeviations {
             if of_sense.rows.is_empty() {
                 continue;
             }
-            let (about_centre, radius_um) = remove_centre_offset(of_sense);
+            let (about_centre, radius_um) = deviations_about_centre(of_sense);
             let about = if is_whole { about_centre } else { measured_deviations_um(of_sense) };
             let [low, high] = min_max(&about);
             it.g_um[index] = is_whole.then_some(high - low);
@@ -59,7 +59,7 @@ impl CircularDeviations {
             }
         }
         if both {
-            let (about_centre, _) = remove_centre_offset(record);
+            let (about_centre, _) = deviations_about_centre(record);
             let [low, high] = min_max(&about_centre);
             it.g_both_um = is_whole.then_some(high - low);
             it.h_um = circular_hysteresis_um(record, &about_centre);
@@ -73,7 +73,7 @@ fn measured_deviations_um(record: &CircleRecord) -> Vec<f64> {
 }
 
 /// Returns the deviations about the centre of least squares, and the mean radius minus the nominal one.
-fn remove_centre_offset(record: &CircleRecord) -> (Vec<f64>, f64) {
+fn deviations_about_centre(record: &CircleRecord) -> (Vec<f64>, f64) {
     let terms: Vec<CircleTerm> = setup_columns(record).iter().map(|column| column.term).collect();
     let columns: Vec<Vec<f64>> = terms.iter().map(|term| term.basis_column(record)).collect();
     let mut um = measured_deviations_um(record);

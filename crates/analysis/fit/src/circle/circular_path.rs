@@ -20,7 +20,7 @@ pub(super) fn fit_circle(points: &[[f64; 2]]) -> Option<([f64; 2], f64)> {
 }
 
 /// Returns the shortest turn from one angle to another, in rad.
-pub(super) fn angle_difference(from: f64, to: f64) -> f64 {
+pub(super) fn angle_difference_rad(from: f64, to: f64) -> f64 {
     let turn = to - from;
     turn - TAU * (turn / TAU).round()
 }
@@ -43,12 +43,12 @@ pub(super) fn rotation_directions(
         let from = at.saturating_sub(NEIGHBOUR_ROWS_PER_SIDE).max(part.start);
         let to = (at + NEIGHBOUR_ROWS_PER_SIDE).min(part.end - 1);
         // Turn by turn: the sum may be more than half a circle.
-        let turn = |pair: &[f64]| angle_difference(pair[0], pair[1]);
+        let turn = |pair: &[f64]| angle_difference_rad(pair[0], pair[1]);
         let [behind, ahead] = [&angles[from..=at], &angles[at..=to]]
             .map(|part| part.windows(2).map(turn).sum::<f64>());
         // Where the direction changes a row belongs to the way on which it was reached.
         let turn = match behind * ahead < 0.0 {
-            true if angle_difference(angles[at - 1], angles[at]) * behind > 0.0 => behind,
+            true if angle_difference_rad(angles[at - 1], angles[at]) * behind > 0.0 => behind,
             true => ahead,
             false => behind + ahead,
         };
@@ -72,7 +72,7 @@ fn split_at_jumps(angles: &[f64]) -> Vec<Range<usize>> {
     /// The longest step in median steps.
     const MAX_STEP_TO_MEDIAN_RATIO: f64 = 6.0;
     let steps: Vec<f64> =
-        angles.windows(2).map(|pair| angle_difference(pair[0], pair[1]).abs()).collect();
+        angles.windows(2).map(|pair| angle_difference_rad(pair[0], pair[1]).abs()).collect();
     let longest = MAX_STEP_TO_MEDIAN_RATIO * robust::median(&mut steps.clone());
     let mut ends: Vec<usize> = (1..angles.len()).filter(|at| steps[at - 1] > longest).collect();
     ends.push(angles.len());

@@ -7,7 +7,7 @@ use trueup_machine::machine_file::LinearAxis;
 use super::{
     record::{CirclePlane, CircleRecord},
     term_selection::{CrossValidatedTermGroup, FittedTerm, SelectedModel, TermGroup},
-    terms::{CircleTerm, DriftParameter, WavePhase},
+    terms::{CircleTerm, DriftingParameter, WavePhase},
 };
 use crate::report::FitParameter;
 
@@ -65,7 +65,7 @@ impl CircleCause {
 
     /// Returns why no table corrects it; `None` where one does.
     #[must_use]
-    pub(crate) fn uncorrected_reason(self) -> Option<&'static str> {
+    pub(crate) fn uncompensated_reason(self) -> Option<&'static str> {
         match self {
             Self::ServoMismatch => Some(
                 "it depends on the feed: match the position gains (Kv) or the feed-forward of both axes",
@@ -229,7 +229,7 @@ fn build_finding(
     add_ambiguities(record, &mut it);
     it.claimed &= it.alternatives.is_empty();
     if it.next_test.is_empty()
-        && let Some(why) = cause.uncorrected_reason()
+        && let Some(why) = cause.uncompensated_reason()
     {
         it.next_test = format!("no table corrects it, {why}");
     }
@@ -359,7 +359,7 @@ fn build_parameters(
 /// Returns the height of each spike, the peak of its shapes' sum, and the width of the highest.
 fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<FitParameter> {
     /// Steps of an angle.
-    const HALF_RANGE_STEPS: i32 = 600;
+    const SPIKE_HALF_RANGE_STEPS: i32 = 600;
     let mut all = Vec::new();
     let (mut highest, mut width_rad) = (0.0, 0.0);
     for (is_positive, sense) in [(true, 1.0), (true, -1.0), (false, 1.0), (false, -1.0)] {
@@ -375,7 +375,7 @@ fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Fi
             };
             own.iter().map(of).sum::<f64>()
         };
-        let curve: Vec<f64> = (-HALF_RANGE_STEPS..HALF_RANGE_STEPS).map(at).collect();
+        let curve: Vec<f64> = (-SPIKE_HALF_RANGE_STEPS..SPIKE_HALF_RANGE_STEPS).map(at).collect();
         let Some(peak) = curve.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())) else {
             continue;
         };
@@ -441,9 +441,9 @@ fn build_drift_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Fi
     let parameter = |term: &FittedTerm| {
         let CircleTerm::Drift(of) = term.term else { return None };
         let name = match of {
-            DriftParameter::Radius => format!("radius_{unit}"),
-            DriftParameter::CentreU => format!("{u}_{unit}"),
-            DriftParameter::CentreV => format!("{v}_{unit}"),
+            DriftingParameter::Radius => format!("radius_{unit}"),
+            DriftingParameter::CentreU => format!("{u}_{unit}"),
+            DriftingParameter::CentreV => format!("{v}_{unit}"),
         };
         let half = NORMAL_QUANTILE_975 * (factor * term.standard_error_um).abs();
         Some(FitParameter::amplitude(name, factor * term.um, half))

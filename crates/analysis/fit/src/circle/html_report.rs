@@ -11,7 +11,7 @@ use super::{CircleFinding, CircleReport, CircleResult, CircleVerdict};
 
 /// Returns the page of a report.
 #[must_use]
-pub fn build_page(report: &CircleReport, origin: &Provenance) -> HtmlPage {
+pub fn build_circle_page(report: &CircleReport, origin: &Provenance) -> HtmlPage {
     let mut page = HtmlPage::new("Circles and their causes, ISO 230-4");
     let (state, heading) = match report.verdict {
         CircleVerdict::Clean => ("good", "Clean: nothing but set-up and noise"),
@@ -24,7 +24,7 @@ pub fn build_page(report: &CircleReport, origin: &Provenance) -> HtmlPage {
     let description: Vec<String> = report.circles.iter().map(summarise_circle).collect();
     page.add_card(state, heading, &description);
     for circle in &report.circles {
-        write_circle(&mut page, circle);
+        add_circle(&mut page, circle);
     }
     if !report.written.is_empty() {
         page.add_heading("Written into the machine file");
@@ -46,7 +46,7 @@ pub fn build_page(report: &CircleReport, origin: &Provenance) -> HtmlPage {
 pub(crate) fn summarise_circle(circle: &CircleResult) -> String {
     let named = |is_claimed: bool| -> Vec<String> {
         let own = circle.findings.iter().filter(|finding| finding.claimed == is_claimed);
-        own.map(title).collect()
+        own.map(finding_title).collect()
     };
     let (claimed, open) = (named(true), named(false));
     let mut message = format!("{}: ", circle.record.plane.name().to_uppercase());
@@ -62,7 +62,7 @@ pub(crate) fn summarise_circle(circle: &CircleResult) -> String {
 
 /// Returns a cause with its axis: `backlash of x`.
 #[must_use]
-pub fn title(finding: &CircleFinding) -> String {
+pub fn finding_title(finding: &CircleFinding) -> String {
     let name = finding.cause.name();
     match (finding.axis.map(LinearAxis::name), finding.along.map(LinearAxis::name)) {
         (Some(axis), Some(along)) => format!("{name} of {axis} along {along}"),
@@ -71,7 +71,7 @@ pub fn title(finding: &CircleFinding) -> String {
     }
 }
 
-fn write_circle(page: &mut HtmlPage, circle: &CircleResult) {
+fn add_circle(page: &mut HtmlPage, circle: &CircleResult) {
     let record = &circle.record;
     let [u, v] = record.plane.axes().map(|axis| axis.name().to_uppercase());
     page.add_heading(&format!("{u}{v}, radius {:.3} mm", record.radius_mm));
@@ -83,8 +83,8 @@ fn write_circle(page: &mut HtmlPage, circle: &CircleResult) {
             (format_micrometres(circle.after.rms_um), "RMS without the causes".into(), "after"),
         ]);
     }
-    page.add_charts(&[polar_plot(circle, [u, v])]);
-    page.add_table(&deviation_table(circle));
+    page.add_charts(&[render_polar_plot(circle, [u, v])]);
+    page.add_table(&build_deviation_table(circle));
     if circle.findings.is_empty() {
         page.add_paragraph("No cause: centre and radius of the set-up, and noise.");
     }
@@ -98,7 +98,7 @@ fn write_circle(page: &mut HtmlPage, circle: &CircleResult) {
         }
         page.add_subheading(&format!(
             "{}{}: {} RMS",
-            title(finding),
+            finding_title(finding),
             if finding.claimed { "" } else { " (not claimed)" },
             format_micrometres(finding.rms_um)
         ));
@@ -117,7 +117,7 @@ fn write_circle(page: &mut HtmlPage, circle: &CircleResult) {
 }
 
 /// Returns the polar plot: both directions, and what the causes predict.
-fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
+fn render_polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
     let record = &circle.record;
     let mut series = Vec::new();
     for (name, colour, sense) in
@@ -137,13 +137,13 @@ fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
         }
     }
     let causes: Vec<String> =
-        circle.findings.iter().filter(|finding| finding.claimed).map(title).collect();
+        circle.findings.iter().filter(|finding| finding.claimed).map(finding_title).collect();
     let causes = if causes.is_empty() { "no cause".into() } else { causes.join(", ") };
     PolarPlot { title: format!("Deviation of the radius, enlarged: {causes}."), axes, series }
         .to_figure()
 }
 
-fn deviation_table(circle: &CircleResult) -> HtmlTable {
+fn build_deviation_table(circle: &CircleResult) -> HtmlTable {
     let it = &circle.figures;
     let cell = |um: Option<f64>| um.map_or_else(|| "–".into(), format_micrometres);
     let mut table = HtmlTable::new(&["ISO 230-4", "counter-clockwise", "clockwise", "both"]);

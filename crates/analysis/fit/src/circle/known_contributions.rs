@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use trueup_machine::{
-    InputFileError, Machine, RunFile, applied_offsets::applied_offsets_um,
+    InputFileError, Machine, RunFile, applied_offsets::compute_applied_offsets_um,
     machine_file::LinearAxis, predict::RunPredictor,
 };
 
 use super::record::{CircleRecord, RADIAL_DEVIATION_COLUMN};
-use crate::partial_prediction::{is_model_input, restrict_to_available_columns};
+use crate::partial_prediction::{is_non_pose_input, restrict_to_available_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
 pub(crate) struct RadialReadings {
@@ -18,7 +18,7 @@ pub(crate) struct RadialReadings {
 
 impl RadialReadings {
     /// Returns the reading of a row without what was applied; NaN where that is not known.
-    pub(crate) fn uncorrected_radial_um(
+    pub(crate) fn uncompensated_radial_um(
         &self,
         row: usize,
         axes: [LinearAxis; 2],
@@ -33,13 +33,13 @@ impl RadialReadings {
 }
 
 /// Returns the readings of `run` without what a bridge had applied, once they are at an angle.
-pub(crate) fn remove_applied_offsets(
+pub(crate) fn extract_radial_readings(
     run: &RunFile,
     machine: Option<&Machine>,
     warnings: &mut Vec<String>,
 ) -> Result<RadialReadings, InputFileError> {
     let readings_um = run.require_column(RADIAL_DEVIATION_COLUMN)?.to_vec();
-    let (offsets_um, notes) = match applied_offsets_um(run, machine)? {
+    let (offsets_um, notes) = match compute_applied_offsets_um(run, machine)? {
         Some((offsets_um, notes)) => (Some(offsets_um), notes),
         None => (None, Vec::new()),
     };
@@ -115,7 +115,7 @@ fn build_run_with_directions(
     machine: &Machine,
     rows: &[usize],
 ) -> Result<RunFile, InputFileError> {
-    let is_other = |name: &str| name.ends_with("_deg") || is_model_input(machine, name);
+    let is_other = |name: &str| name.ends_with("_deg") || is_non_pose_input(machine, name);
     let others = run.columns().iter().filter(|column| is_other(&column.name));
     let others: Vec<(&str, &[f64])> = others
         .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))

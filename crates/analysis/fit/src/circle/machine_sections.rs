@@ -30,20 +30,20 @@ const MAX_WRITTEN_TABLE_POINTS: f64 = 2_000.0;
 const KACZMARZ_ITERATIONS: usize = 200;
 
 /// Returns the sections, and which constants they have; marks the findings that are in them.
-pub(crate) fn write_sections(
+pub(crate) fn build_machine_file_edit(
     circles: &mut [CircleResult],
     machine: Option<&Machine>,
     warnings: &mut Vec<String>,
 ) -> (MachineFileEdit, Vec<String>) {
     let mut out =
-        SectionWriter { machine, edit: MachineFileEdit::default(), written: Vec::new(), warnings };
-    out.write_squareness(circles);
-    out.write_positioning(circles);
-    out.write_straightness(circles);
+        SectionBuilder { machine, edit: MachineFileEdit::default(), written: Vec::new(), warnings };
+    out.add_squareness(circles);
+    out.add_positioning(circles);
+    out.add_straightness(circles);
     (out.edit, out.written)
 }
 
-struct SectionWriter<'m> {
+struct SectionBuilder<'m> {
     machine: Option<&'m Machine>,
     edit: MachineFileEdit,
     written: Vec<String>,
@@ -75,8 +75,8 @@ fn parameter_value(finding: &CircleFinding, name: &str) -> f64 {
         .map_or(0.0, |parameter| parameter.value)
 }
 
-impl SectionWriter<'_> {
-    fn write_squareness(&mut self, circles: &mut [CircleResult]) {
+impl SectionBuilder<'_> {
+    fn add_squareness(&mut self, circles: &mut [CircleResult]) {
         let mut angles: Vec<Squareness> =
             self.machine.map(|machine| machine.squareness.clone()).unwrap_or_default();
         let mut is_changed = false;
@@ -135,15 +135,15 @@ impl SectionWriter<'_> {
     }
 
     /// Writes scale, cyclic errors and backlash of each axis.
-    fn write_positioning(&mut self, circles: &mut [CircleResult]) {
-        let scales = scales_um_per_m(circles);
+    fn add_positioning(&mut self, circles: &mut [CircleResult]) {
+        let scales = solve_scales_um_per_m(circles);
         for axis in LinearAxis::ALL {
             let own = self.machine.map(|machine| &machine.axes[axis.index()]);
             let name = axis.name();
             let mut pitch = own.and_then(|own| own.pitch.clone());
             let scale = scales[axis.index()];
             let waves = mean_cyclic_errors(circles, axis);
-            let width_um = self.write_backlash(circles, axis);
+            let width_um = self.average_backlash_um(circles, axis);
             if own.is_some_and(|own| own.dual.is_some()) && (scale != 0.0 || !waves.is_empty()) {
                 self.warnings.push(format!(
                     "{name} has two drives: its scale and cyclic error are not written. `trueup fit pitch` fits both tables"
@@ -194,7 +194,11 @@ impl SectionWriter<'_> {
     }
 
     /// Returns the backlash of an axis, the mean of its circles, and marks the findings; `None` where it is not written.
-    fn write_backlash(&mut self, circles: &mut [CircleResult], axis: LinearAxis) -> Option<f64> {
+    fn average_backlash_um(
+        &mut self,
+        circles: &mut [CircleResult],
+        axis: LinearAxis,
+    ) -> Option<f64> {
         let own: Vec<(usize, usize)> = claimed_finding_indices(circles, CircleCause::Backlash)
             .into_iter()
             .filter(|(circle, at)| circles[*circle].findings[*at].axis == Some(axis))
@@ -230,7 +234,7 @@ impl SectionWriter<'_> {
         Some(mean)
     }
 
-    fn write_straightness(&mut self, circles: &mut [CircleResult]) {
+    fn add_straightness(&mut self, circles: &mut [CircleResult]) {
         for (circle, at) in claimed_finding_indices(circles, CircleCause::Straightness) {
             let record = &circles[circle].record;
             let finding = &circles[circle].findings[at];
@@ -276,7 +280,7 @@ impl SectionWriter<'_> {
 }
 
 /// Returns the scale of each axis in µm/m: the smallest that have the differences of all circles.
-fn scales_um_per_m(circles: &[CircleResult]) -> [f64; 3] {
+fn solve_scales_um_per_m(circles: &[CircleResult]) -> [f64; 3] {
     let mut scales = [0.0; 3];
     for _ in 0..KACZMARZ_ITERATIONS {
         for (circle, at) in claimed_finding_indices(circles, CircleCause::ScaleMismatch) {

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use trueup_machine::machine_file::LinearAxis;
 use trueup_numerics::robust;
 
-use super::circular_path::angle_difference;
+use super::circular_path::angle_difference_rad;
 use crate::report::ExcludedRow;
 
 /// The column with the readings.
@@ -104,7 +104,7 @@ pub struct CircleRecord {
 impl CircleRecord {
     /// Returns the share of the time at a row, −½…½.
     #[must_use]
-    pub(crate) fn relative_time(&self, row: &CircleReading) -> f64 {
+    pub(crate) fn centred_time_fraction(&self, row: &CircleReading) -> f64 {
         let [first, last] = self.clock;
         if last > first { (row.clock - first) / (last - first) - 0.5 } else { 0.0 }
     }
@@ -140,7 +140,8 @@ impl CircleRecord {
             let steps = self.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
             feeds = steps
                 .map(|pair| {
-                    let way = self.radius_mm * angle_difference(pair[0].angle, pair[1].angle).abs();
+                    let way =
+                        self.radius_mm * angle_difference_rad(pair[0].angle, pair[1].angle).abs();
                     60.0 * way / (pair[1].clock - pair[0].clock)
                 })
                 .filter(|feed_mm_per_min| feed_mm_per_min.is_finite() && *feed_mm_per_min > 0.0)

@@ -10,7 +10,7 @@ use trueup_machine::{InputFileError, Location, Machine, RunFile, machine_file::L
 use trueup_numerics::robust;
 
 use super::{
-    circular_path::{angle_difference, fit_circle, rotation_directions},
+    circular_path::{angle_difference_rad, fit_circle, rotation_directions},
     known_contributions,
     record::{CirclePlane, CircleReading, CircleRecord, RADIAL_DEVIATION_COLUMN},
     terms::angle_since_reversal_rad,
@@ -51,7 +51,7 @@ pub(crate) fn extract_circle_records(
     let mut records: Vec<CircleRecord> = Vec::new();
     let mut warnings = Vec::new();
     for (file, run) in runs.iter().enumerate() {
-        let measured = known_contributions::remove_applied_offsets(run, machine, &mut warnings)?;
+        let measured = known_contributions::extract_radial_readings(run, machine, &mut warnings)?;
         for group in group_rows(run)? {
             add_group_to_record(&mut records, run, file, &group, &measured)?;
         }
@@ -69,7 +69,7 @@ pub(crate) fn extract_circle_records(
             known_contributions::subtract_prediction(record, runs, machine, &mut warnings)?;
         }
         exclude_gross_errors(record, runs);
-        check_record(record, runs)?;
+        check_record_coverage(record, runs)?;
         average_neighbouring_rows(record);
         let clocks = || record.rows.iter().map(|row| row.clock);
         let clock = [clocks().fold(f64::INFINITY, f64::min), clocks().fold(f64::MIN, f64::max)];
@@ -234,11 +234,11 @@ fn add_group_to_record(
     let mut pass = record.rows.last().map_or(0, |row| row.pass + 1);
     let mut before: Option<CircleReading> = None;
     for ((&row, &angle), &sense) in rows.iter().zip(&angles).zip(&rotation_directions) {
-        let um = measured.uncorrected_radial_um(row, axes, angle);
+        let um = measured.uncompensated_radial_um(row, axes, angle);
         if sense == 0.0 || um.is_nan() {
             continue;
         }
-        let is_gap = |before: &CircleReading| angle_difference(before.angle, angle).abs() > 0.5;
+        let is_gap = |before: &CircleReading| angle_difference_rad(before.angle, angle).abs() > 0.5;
         if before.is_some_and(|before| before.sense != sense || is_gap(&before)) {
             pass += 1;
         }
@@ -295,7 +295,7 @@ fn exclude_gross_errors(record: &mut CircleRecord, runs: &[RunFile]) {
     record.rows.retain(|_| !gross.next().unwrap_or(false));
 }
 
-fn check_record(record: &CircleRecord, runs: &[RunFile]) -> Result<(), InputFileError> {
+fn check_record_coverage(record: &CircleRecord, runs: &[RunFile]) -> Result<(), InputFileError> {
     let place = record.rows.first().map_or_else(
         || Location::start_of_file(runs[0].path()),
         |row| runs[row.source[0]].value_location(row.source[1], RADIAL_DEVIATION_COLUMN),
@@ -332,7 +332,8 @@ fn average_neighbouring_rows(record: &mut CircleRecord) {
                 part.iter().map(of).sum::<f64>() / part.len() as f64
             };
             let first = part[0];
-            let turn = part.iter().map(|row| angle_difference(first.angle, row.angle)).sum::<f64>();
+            let turn =
+                part.iter().map(|row| angle_difference_rad(first.angle, row.angle)).sum::<f64>();
             thinned.push(CircleReading {
                 angle: first.angle + turn / part.len() as f64,
                 um: mean(|row| row.um),

@@ -23,7 +23,7 @@ const MAX_SPIKE_SHAPES: usize = 3;
 /// Periods in the diameter, at least.
 const MIN_PERIODS_PER_DIAMETER: f64 = 2.5;
 /// Steps of the frequency in one over the diameter.
-const RELATIVE_FREQUENCY_STEP: f64 = 0.3;
+const PERIODS_PER_DIAMETER_STEP: f64 = 0.3;
 /// The most frequencies of an axis.
 const MAX_FREQUENCIES: usize = 400;
 /// Candidates that are looked at closely.
@@ -33,13 +33,13 @@ const SPIKE_FWHMS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0
 
 /// Terms that are searched for together.
 #[derive(Clone, Debug)]
-struct TermCandidate {
+struct TermGroupCandidate {
     unit: TermGroup,
     terms: Vec<CircleTerm>,
 }
 
 /// A candidate with its columns.
-type CandidateColumns = (TermCandidate, Vec<Vec<f64>>);
+type CandidateColumns = (TermGroupCandidate, Vec<Vec<f64>>);
 
 /// Returns the columns of the cyclic errors and spikes that the record seems to have.
 #[must_use]
@@ -53,7 +53,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
             (candidate, columns)
         })
         .collect();
-    let mut found: Vec<TermCandidate> = Vec::new();
+    let mut found: Vec<TermGroupCandidate> = Vec::new();
     for _ in 0..MAX_SEARCH_ROUNDS {
         let before = found.len();
         add_best_candidates(record, &candidates, &mut found);
@@ -62,7 +62,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
         }
         // Each again, now that the others are known.
         for at in 0..found.len() {
-            let others: Vec<&TermCandidate> = found
+            let others: Vec<&TermGroupCandidate> = found
                 .iter()
                 .enumerate()
                 .filter(|(other, _)| *other != at)
@@ -71,7 +71,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
             let basis = OrthogonalBasis::from_candidates(record, &others);
             let again = refine_candidate(&basis, record, &found[at]);
             // The shape of a spike was chosen next to others that have changed.
-            let is_own = |candidate: &TermCandidate| {
+            let is_own = |candidate: &TermGroupCandidate| {
                 candidate.unit == again.unit && matches!(candidate.unit, TermGroup::Spikes(_))
             };
             let other = find_best_candidate(
@@ -79,7 +79,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
                 candidates.iter().filter(|(candidate, _)| is_own(candidate)),
             );
             let other = other.map(|(_, candidate)| refine_candidate(&basis, record, candidate));
-            let gain = |candidate: &TermCandidate| basis.gain(&candidate.term_columns(record));
+            let gain = |candidate: &TermGroupCandidate| basis.gain(&candidate.term_columns(record));
             found[at] = match other {
                 Some(other) if gain(&other) > gain(&again) => other,
                 _ => again,
@@ -103,12 +103,13 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
 fn add_best_candidates(
     record: &CircleRecord,
     candidates: &[CandidateColumns],
-    found: &mut Vec<TermCandidate>,
+    found: &mut Vec<TermGroupCandidate>,
 ) {
     let mut basis = OrthogonalBasis::from_candidates(record, &found.iter().collect::<Vec<_>>());
     while found.len() < MAX_SELECTED_CANDIDATES {
-        let free =
-            candidates.iter().filter(|(candidate, _)| !is_already_found(record, found, candidate));
+        let free = candidates
+            .iter()
+            .filter(|(candidate, _)| !is_redundant_candidate(record, found, candidate));
         let Some((gain, candidate)) = find_best_candidate(&basis, free) else { return };
         let count = candidate.terms.len() as f64;
         if gain < (MIN_GAIN_RESIDUAL_VARIANCES + 2.0 * (count - 2.0)) * basis.residual_variance() {
@@ -124,7 +125,7 @@ fn add_best_candidates(
 fn find_best_candidate<'c>(
     basis: &OrthogonalBasis,
     candidates: impl Iterator<Item = &'c CandidateColumns>,
-) -> Option<(f64, &'c TermCandidate)> {
+) -> Option<(f64, &'c TermGroupCandidate)> {
     let mut rough: Vec<_> =
         candidates.map(|candidate| (basis.approximate_gain(&candidate.1), candidate)).collect();
     rough.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
@@ -137,10 +138,10 @@ fn find_best_candidate<'c>(
 
 /// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
 /// sum is the shape.
-fn is_already_found(
+fn is_redundant_candidate(
     record: &CircleRecord,
-    found: &[TermCandidate],
-    candidate: &TermCandidate,
+    found: &[TermGroupCandidate],
+    candidate: &TermGroupCandidate,
 ) -> bool {
     let of_unit = found.iter().filter(|other| other.unit == candidate.unit);
     if matches!(candidate.unit, TermGroup::Spikes(_)) && of_unit.count() >= MAX_SPIKE_SHAPES {
@@ -156,7 +157,7 @@ fn is_already_found(
     })
 }
 
-impl TermCandidate {
+impl TermGroupCandidate {
     fn term_columns(&self, record: &CircleRecord) -> Vec<Vec<f64>> {
         self.terms.iter().map(|term| term.basis_column(record)).collect()
     }
@@ -166,17 +167,17 @@ fn cyclic_period_mm(term: &CircleTerm) -> f64 {
     if let CircleTerm::Cyclic { period_mm, .. } = term { *period_mm } else { f64::NAN }
 }
 
-fn cyclic_candidate(axis: usize, period_mm: f64) -> TermCandidate {
+fn cyclic_candidate(axis: usize, period_mm: f64) -> TermGroupCandidate {
     let terms = [WavePhase::Sine, WavePhase::Cosine].map(|wave| CircleTerm::Cyclic {
         axis,
         period_mm,
         wave,
     });
-    TermCandidate { unit: TermGroup::Cyclic(axis, 0), terms: terms.into() }
+    TermGroupCandidate { unit: TermGroup::Cyclic(axis, 0), terms: terms.into() }
 }
 
 /// Returns the waves of an axis that the record can show.
-fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
+fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<TermGroupCandidate> {
     let diameter = 2.0 * record.radius_mm;
     let steps = record.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
     let mut ways: Vec<f64> =
@@ -185,16 +186,16 @@ fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
     // Nine tenths of the steps are shorter.
     let Some(step) = ways.get(ways.len() * 9 / 10) else { return Vec::new() };
     let shortest = (2.5 * step).max(0.5);
-    let most = (diameter / shortest / RELATIVE_FREQUENCY_STEP) as usize;
-    let first = (MIN_PERIODS_PER_DIAMETER / RELATIVE_FREQUENCY_STEP).ceil() as usize;
+    let most = (diameter / shortest / PERIODS_PER_DIAMETER_STEP) as usize;
+    let first = (MIN_PERIODS_PER_DIAMETER / PERIODS_PER_DIAMETER_STEP).ceil() as usize;
     let last = most.min(first + MAX_FREQUENCIES);
     (first..=last)
-        .map(|n| cyclic_candidate(axis, diameter / (n as f64 * RELATIVE_FREQUENCY_STEP)))
+        .map(|n| cyclic_candidate(axis, diameter / (n as f64 * PERIODS_PER_DIAMETER_STEP)))
         .collect()
 }
 
 /// Returns the spikes of an axis, at both ends and in both directions.
-fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
+fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermGroupCandidate> {
     let step = record.covered_arc_rad() / record.rows.len() as f64 * pass_count(record);
     let senses: Vec<f64> =
         [1.0, -1.0].into_iter().filter(|direction| record.has_direction(*direction)).collect();
@@ -218,7 +219,7 @@ fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
             record.rows.iter().filter(near).count() >= 2
         };
         let terms = terms.filter(is_seen).collect();
-        TermCandidate { unit: TermGroup::Spikes(axis), terms }
+        TermGroupCandidate { unit: TermGroup::Spikes(axis), terms }
     };
     let widths =
         SPIKE_FWHMS_DEG.into_iter().map(f64::to_radians).filter(|width| *width > 1.2 * step);
@@ -235,10 +236,10 @@ fn pass_count(record: &CircleRecord) -> f64 {
 fn refine_candidate(
     basis: &OrthogonalBasis,
     record: &CircleRecord,
-    candidate: &TermCandidate,
-) -> TermCandidate {
-    let gain = |candidate: &TermCandidate| basis.gain(&candidate.term_columns(record));
-    let scaled = |candidate: &TermCandidate, factor: f64| {
+    candidate: &TermGroupCandidate,
+) -> TermGroupCandidate {
+    let gain = |candidate: &TermGroupCandidate| basis.gain(&candidate.term_columns(record));
+    let scaled = |candidate: &TermGroupCandidate, factor: f64| {
         let mut other = candidate.clone();
         for term in &mut other.terms {
             match term {
@@ -252,7 +253,7 @@ fn refine_candidate(
     // To the middle between neighbours of the grid first.
     let mut step = match candidate.terms[0] {
         CircleTerm::Cyclic { period_mm, .. } => {
-            0.5 * RELATIVE_FREQUENCY_STEP * period_mm / (2.0 * record.radius_mm)
+            0.5 * PERIODS_PER_DIAMETER_STEP * period_mm / (2.0 * record.radius_mm)
         }
         _ => 0.2,
     };
@@ -278,7 +279,7 @@ struct OrthogonalBasis {
 
 impl OrthogonalBasis {
     /// Of the set-up, the linear causes and `found`.
-    fn from_candidates(record: &CircleRecord, found: &[&TermCandidate]) -> Self {
+    fn from_candidates(record: &CircleRecord, found: &[&TermGroupCandidate]) -> Self {
         let left = record.rows.iter().map(|row| row.um).collect();
         let mut basis = Self { columns: Vec::new(), left };
         for column in setup_columns(record).iter().chain(&linear_columns(record)) {

@@ -13,7 +13,7 @@ use trueup_numerics::{
 
 use super::{
     record::CircleRecord,
-    terms::{CircleTerm, DriftParameter, WavePhase},
+    terms::{CircleTerm, DriftingParameter, WavePhase},
 };
 
 /// |t| of a term that a cause may rest on: one false claim in more than a thousand circles of thirty terms.
@@ -29,10 +29,10 @@ const MIN_CONTRIBUTION_TO_NOISE_RATIO: f64 = 0.12;
 /// The same in µm: no instrument resolves less.
 const MIN_CONTRIBUTION_RMS_UM: f64 = 0.05;
 /// The share of a spike's height that its tail may look like a step or an ellipse, RMS; a form.
-const MAX_SPIKE_TAIL_STEP_RATIO: f64 = 0.05;
-const MAX_SPIKE_TAIL_FORM_RATIO: f64 = 0.025;
+const MIN_SINGLE_TERM_TO_SPIKE_RATIO: f64 = 0.05;
+const MIN_FORM_TO_SPIKE_RATIO: f64 = 0.025;
 /// Arcs of a pass that are held out in turn.
-const ARCS_PER_PASS: usize = 12;
+const MAX_ARCS_PER_PASS: usize = 12;
 /// Differences of BIC below this are none.
 const MIN_BIC_DIFFERENCE: f64 = 6.0;
 /// The largest number of a harmonic.
@@ -69,7 +69,7 @@ impl TermGroup {
     }
 
     /// Returns whether terms leave it one by one.
-    fn has_removable_terms(&self) -> bool {
+    fn is_pruned_term_by_term(&self) -> bool {
         !matches!(self, Self::Cyclic(..) | Self::Spikes(_))
     }
 }
@@ -169,7 +169,7 @@ pub(crate) fn linear_columns(record: &CircleRecord) -> Vec<TermColumn> {
             columns.push(TermColumn { unit, term: CircleTerm::Form(number, wave) });
         }
     }
-    let moving = [DriftParameter::Radius, DriftParameter::CentreU, DriftParameter::CentreV];
+    let moving = DriftingParameter::ALL;
     columns.extend(
         moving.map(|drift| TermColumn { unit: TermGroup::Drift, term: CircleTerm::Drift(drift) }),
     );
@@ -177,7 +177,7 @@ pub(crate) fn linear_columns(record: &CircleRecord) -> Vec<TermColumn> {
 }
 
 /// The rows of a record as they are fitted: whitened.
-struct WhitenedFit<'r> {
+struct WhitenedRegression<'r> {
     record: &'r CircleRecord,
     raw: Vec<Vec<f64>>,
     columns: Vec<TermColumn>,
@@ -188,7 +188,7 @@ struct WhitenedFit<'r> {
     caution: f64,
 }
 
-impl<'r> WhitenedFit<'r> {
+impl<'r> WhitenedRegression<'r> {
     fn new(record: &'r CircleRecord, columns: Vec<TermColumn>) -> Self {
         let raw: Vec<Vec<f64>> =
             columns.iter().map(|column| column.term.basis_column(record)).collect();
@@ -225,7 +225,7 @@ impl<'r> WhitenedFit<'r> {
     }
 
     /// Returns the coefficients with their standard errors.
-    fn solve_coefficients(&self) -> (NormalSolution, Vec<f64>) {
+    fn solve_with_standard_errors(&self) -> (NormalSolution, Vec<f64>) {
         let solution = solve(&self.white, &self.y, None, 0.0);
         let left = residual(&self.white, &self.y, &solution.coefficients);
         let degrees = left.len().saturating_sub(self.columns.len()).max(1) as f64;
@@ -249,7 +249,7 @@ impl<'r> WhitenedFit<'r> {
     /// Removes what is not certain, the least certain first.
     fn backward_elimination(&mut self) {
         loop {
-            let (solution, errors) = self.solve_coefficients();
+            let (solution, errors) = self.solve_with_standard_errors();
             let t = |at: usize| {
                 let (um, error) = (solution.coefficients[at], errors[at]);
                 if error > 0.0 { (um / error).abs() } else { 0.0 }
@@ -265,7 +265,7 @@ impl<'r> WhitenedFit<'r> {
                     let unit = &self.columns[at].unit;
                     let needed = if of_unit(unit) < self.caution * unit.min_t_value() {
                         unit.min_t_value()
-                    } else if unit.has_removable_terms() {
+                    } else if unit.is_pruned_term_by_term() {
                         MIN_HARMONIC_T_VALUE
                     } else {
                         0.0
@@ -278,7 +278,7 @@ impl<'r> WhitenedFit<'r> {
             let column = self.columns[at].clone();
             self.remove_columns(|other| {
                 other.unit == column.unit
-                    && (!column.unit.has_removable_terms() || other.term == column.term)
+                    && (!column.unit.is_pruned_term_by_term() || other.term == column.term)
             });
         }
     }
@@ -333,11 +333,11 @@ fn residual(columns: &[Vec<f64>], y: &[f64], coefficients: &[f64]) -> Vec<f64> {
 #[must_use]
 pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedModel {
     let all = [setup_columns(record), linear_columns(record), found.to_vec()].concat();
-    let mut fit = WhitenedFit::new(record, all);
+    let mut fit = WhitenedRegression::new(record, all);
     fit.whiten();
     fit.backward_elimination();
     let noise_um = loop {
-        let (solution, _) = fit.solve_coefficients();
+        let (solution, _) = fit.solve_with_standard_errors();
         let noise_um = rms(&fit.residual(&solution));
         let floor = (MIN_CONTRIBUTION_TO_NOISE_RATIO * noise_um).max(MIN_CONTRIBUTION_RMS_UM);
         let share = |unit: &TermGroup| fit.contribution_rms_um(unit, &solution.coefficients);
@@ -345,9 +345,9 @@ pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedMode
         let least = |unit: &TermGroup| match unit {
             // The peak of a spike is local.
             TermGroup::Spikes(_) => 0.3 * floor,
-            TermGroup::Single(_) => floor.max(MAX_SPIKE_TAIL_STEP_RATIO * peak),
+            TermGroup::Single(_) => floor.max(MIN_SINGLE_TERM_TO_SPIKE_RATIO * peak),
             TermGroup::Even(_) | TermGroup::OddSines | TermGroup::EvenCosines => {
-                floor.max(MAX_SPIKE_TAIL_FORM_RATIO * peak)
+                floor.max(MIN_FORM_TO_SPIKE_RATIO * peak)
             }
             _ => floor,
         };
@@ -357,7 +357,7 @@ pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedMode
         };
         fit.remove_columns(|column| column.unit == small);
     };
-    let (solution, errors) = fit.solve_coefficients();
+    let (solution, errors) = fit.solve_with_standard_errors();
     let terms = fit.columns.iter().zip(&solution.coefficients).zip(errors).map(
         |((column, um), standard_error_um)| FittedTerm {
             unit: column.unit.clone(),
@@ -378,7 +378,7 @@ pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedMode
 
 /// Tries a cause on held-out arcs, and others in its place.
 fn cross_validate(
-    fit: &WhitenedFit<'_>,
+    fit: &WhitenedRegression<'_>,
     unit: TermGroup,
     coefficients: &[f64],
 ) -> CrossValidatedTermGroup {
@@ -425,7 +425,7 @@ fn cross_validate(
 
 /// Returns the whitened columns for which `is_kept` holds.
 fn select_whitened_columns(
-    fit: &WhitenedFit<'_>,
+    fit: &WhitenedRegression<'_>,
     is_retained: impl Fn(&TermColumn) -> bool,
 ) -> Vec<Vec<f64>> {
     let both = fit.columns.iter().zip(&fit.white);
@@ -434,7 +434,7 @@ fn select_whitened_columns(
 
 /// Returns the other linear causes that leave as little in the place of `unit`.
 fn find_alternatives(
-    fit: &WhitenedFit<'_>,
+    fit: &WhitenedRegression<'_>,
     unit: &TermGroup,
     without: &[Vec<f64>],
 ) -> Vec<TermGroup> {
@@ -477,7 +477,7 @@ fn arc_indices(record: &CircleRecord) -> Vec<usize> {
     let mut first = 0;
     let mut arcs = Vec::with_capacity(record.rows.len());
     for pass in record.rows.chunk_by(|a, b| a.pass == b.pass) {
-        let count = ARCS_PER_PASS.min(pass.len());
+        let count = MAX_ARCS_PER_PASS.min(pass.len());
         arcs.extend((0..pass.len()).map(|at| first + at * count / pass.len()));
         first += count;
     }

@@ -21,13 +21,18 @@ pub enum WavePhase {
 
 /// The parameter of the circle that drifts with the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DriftParameter {
+pub enum DriftingParameter {
     /// The radius.
     Radius,
     /// The centre along the first axis.
     CentreU,
     /// The centre along the second axis.
     CentreV,
+}
+
+impl DriftingParameter {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Radius, Self::CentreU, Self::CentreV];
 }
 
 /// The shape of a reversal spike over the angle since the reversal.
@@ -88,7 +93,7 @@ pub enum CircleTerm {
     /// A harmonic from 3 on: a straightness.
     Form(u8, WavePhase),
     /// Growth with time, from 0 at the middle of the record; the coefficient is what the whole record has.
-    Drift(DriftParameter),
+    Drift(DriftingParameter),
     /// A peak at one place of an axis in one direction.
     Spike {
         /// The axis that reverses.
@@ -132,11 +137,11 @@ impl CircleTerm {
                 if wave == WavePhase::Sine { sin } else { cos }
             }
             Self::Drift(of) => {
-                record.relative_time(row)
+                record.centred_time_fraction(row)
                     * match of {
-                        DriftParameter::Radius => 1.0,
-                        DriftParameter::CentreU => cos,
-                        DriftParameter::CentreV => sin,
+                        DriftingParameter::Radius => 1.0,
+                        DriftingParameter::CentreU => cos,
+                        DriftingParameter::CentreV => sin,
                     }
             }
             Self::Spike { axis, is_positive, sense, shape, width } => {

@@ -140,7 +140,7 @@ pub fn fit_backlash(
             "the axis has its feedback from a scale, which sees the backlash itself".to_string(),
         ]);
     }
-    let backlash = report.verdict.is_fitted().then(|| {
+    let backlash = report.verdict.is_usable().then(|| {
         report.edit = MachineFileEdit::from_section(Backlash::width_section(axis, width_um));
         Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
     });

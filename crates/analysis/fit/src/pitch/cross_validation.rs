@@ -22,7 +22,7 @@ use trueup_machine::{
 use trueup_numerics::{repeats, t_quantile};
 
 use super::{
-    pitch_table::{DirectionMeans, TABLE_DECIMALS, TableGrid},
+    pitch_table::{TABLE_DECIMALS, TableGrid, TargetMeans},
     readings::{PitchReading, PitchReadings},
 };
 
@@ -110,12 +110,12 @@ impl DirectionSums {
     }
 
     /// Returns the means of one direction.
-    pub(super) fn direction_means(&self, targets_mm: &[f64], way: usize) -> DirectionMeans {
+    pub(super) fn direction_means(&self, targets_mm: &[f64], way: usize) -> TargetMeans {
         self.merged_means(targets_mm, &[(way, 0.0)])
     }
 
     /// Returns the means of the named directions together, each less its shift.
-    fn merged_means(&self, targets_mm: &[f64], ways: &[(usize, f64)]) -> DirectionMeans {
+    fn merged_means(&self, targets_mm: &[f64], ways: &[(usize, f64)]) -> TargetMeans {
         let points = targets_mm.iter().enumerate().filter_map(|(target, &x)| {
             let count: f64 = ways.iter().map(|&(way, _)| self.count[way][target]).sum();
             let sum: f64 = ways
@@ -124,7 +124,7 @@ impl DirectionSums {
                 .sum();
             (count > 0.5).then(|| (x, sum / count, count))
         });
-        DirectionMeans { points: points.collect() }
+        TargetMeans { points: points.collect() }
     }
 
     /// Reverse minus forward at each target that has both, in µm.

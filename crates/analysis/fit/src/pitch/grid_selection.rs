@@ -10,7 +10,7 @@ use trueup_machine::model::pitch_error_um;
 use super::{
     PitchFitOptions,
     cross_validation::DirectionSums,
-    pitch_table::{DirectionMeans, TableGrid},
+    pitch_table::{TableGrid, TargetMeans},
     readings::PitchReadings,
     scatter::RepeatScatter,
 };
@@ -32,7 +32,7 @@ pub(super) fn choose_table_grid(
 ) -> TableGrid {
     let targets = &readings.targets_mm;
     let lines = [0, 1].map(|way| sums.direction_means(targets, way));
-    let lines: Vec<&DirectionMeans> = lines.iter().filter(|line| !line.points.is_empty()).collect();
+    let lines: Vec<&TargetMeans> = lines.iter().filter(|line| !line.points.is_empty()).collect();
     let most = options.most_points.max(2);
     let equal = TableGrid::from_equally_spaced_targets(targets).filter(|grid| grid.points <= most);
     if let (None, Some(grid)) = (options.step_mm, equal) {
@@ -78,13 +78,13 @@ pub(super) fn choose_table_grid(
 fn select_grid_by_cross_validation(
     readings: &PitchReadings,
     most: usize,
-    lines: &[&DirectionMeans],
+    lines: &[&TargetMeans],
 ) -> (TableGrid, f64) {
     // Each step of the search has a quarter more points than the one before.
     let counts = std::iter::successors(Some(2_usize), |count| Some(count + 1 + count / 4));
-    let half = |line: &DirectionMeans, odd: usize| {
+    let half = |line: &TargetMeans, odd: usize| {
         let points = line.points.iter().enumerate().filter(|(n, _)| n % 2 == odd);
-        DirectionMeans { points: points.map(|(_, point)| *point).collect() }
+        TargetMeans { points: points.map(|(_, point)| *point).collect() }
     };
     let mut best = (TableGrid::with_point_count(&readings.targets_mm, 2), f64::INFINITY);
     for points in counts.take_while(|count| *count <= most) {

@@ -16,7 +16,7 @@ const COMMON_PITCHES_MM: [f64; 17] =
     [1.0, 2.0, 2.5, 4.0, 5.0, 5.08, 6.0, 8.0, 10.0, 12.0, 12.7, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0];
 
 /// Below this share of its amplitude an error counts as hidden.
-const MAX_ALIASED_AMPLITUDE_RATIO: f64 = 0.1;
+const MIN_VISIBLE_AMPLITUDE_RATIO: f64 = 0.1;
 
 /// Fewer targets have one phase by chance.
 const MIN_ALIASING_TARGETS: usize = 3;
@@ -37,7 +37,7 @@ pub fn find_aliased_pitches(targets_mm: &[f64]) -> Vec<f64> {
         - targets_mm.iter().fold(f64::INFINITY, |a, &b| a.min(b));
     // A pitch longer than the travel is part of the shape that the targets do show.
     let is_hidden = |pitch: &f64| {
-        *pitch < span && visible_amplitude_ratio(targets_mm, *pitch) < MAX_ALIASED_AMPLITUDE_RATIO
+        *pitch < span && visible_amplitude_ratio(targets_mm, *pitch) < MIN_VISIBLE_AMPLITUDE_RATIO
     };
     COMMON_PITCHES_MM.into_iter().filter(is_hidden).collect()
 }

@@ -126,7 +126,7 @@ pub(super) fn add_warnings(
 }
 
 /// The constants and what changes in the machine file.
-pub(super) fn write_pitch_section(
+pub(super) fn add_pitch_correction(
     report: &mut FitReport,
     axis: LinearAxis,
     readings: &PitchReadings,

@@ -24,12 +24,12 @@ pub(super) const TABLE_DECIMALS: i32 = 3;
 
 /// The targets of one direction that have a mean, rising.
 #[derive(Clone, Debug, Default)]
-pub(super) struct DirectionMeans {
+pub(super) struct TargetMeans {
     /// Position in mm, mean in µm, number of readings.
     pub points: Vec<(f64, f64, f64)>,
 }
 
-impl DirectionMeans {
+impl TargetMeans {
     /// Its value at `x`: straight between the points, the ends held outside. NaN without a point.
     fn interpolate(&self, x: f64) -> f64 {
         let after = self.points.partition_point(|point| point.0 <= x);
@@ -83,14 +83,14 @@ impl TableGrid {
     }
 
     /// Returns the table nearest to `line`, in µm to [`TABLE_DECIMALS`].
-    pub(super) fn fit_table(&self, line: &DirectionMeans) -> Vec<f64> {
+    pub(super) fn fit_table_values(&self, line: &TargetMeans) -> Vec<f64> {
         self.least_squares_fit(line)
             .into_iter()
             .map(|um| round_to_decimals(um, TABLE_DECIMALS))
             .collect()
     }
 
-    fn least_squares_fit(&self, line: &DirectionMeans) -> Vec<f64> {
+    fn least_squares_fit(&self, line: &TargetMeans) -> Vec<f64> {
         let mut sums = TridiagonalSystem::new(self.points);
         let readings: f64 = line.points.iter().map(|point| point.2).sum();
         for &(x, um, weight) in &line.points {
@@ -123,19 +123,19 @@ impl TableGrid {
     /// Returns the table of `lines`, one for both directions or one for each.
     pub(super) fn fit_pitch_table(
         &self,
-        forward: &DirectionMeans,
-        reverse: Option<&DirectionMeans>,
+        forward: &TargetMeans,
+        reverse: Option<&TargetMeans>,
     ) -> PitchErrorTable {
         PitchErrorTable {
             start_mm: self.start_mm,
             step_mm: self.step_mm,
-            forward_um: self.fit_table(forward),
-            reverse_um: reverse.map(|line| self.fit_table(line)),
+            forward_um: self.fit_table_values(forward),
+            reverse_um: reverse.map(|line| self.fit_table_values(line)),
         }
     }
 
     /// Returns the root mean square of what the table misses at the targets of `lines`, in µm.
-    pub(super) fn rms_loss_um(&self, lines: &[&DirectionMeans]) -> f64 {
+    pub(super) fn rms_loss_um(&self, lines: &[&TargetMeans]) -> f64 {
         let (mut squares, mut weights) = (0.0, 0.0);
         for line in lines {
             let pitch = self.fit_pitch_table(line, None);
@@ -207,8 +207,8 @@ impl TridiagonalSystem {
 mod tests {
     use super::*;
 
-    fn line(points: &[(f64, f64)]) -> DirectionMeans {
-        DirectionMeans { points: points.iter().map(|&(x, um)| (x, um, 1.0)).collect() }
+    fn line(points: &[(f64, f64)]) -> TargetMeans {
+        TargetMeans { points: points.iter().map(|&(x, um)| (x, um, 1.0)).collect() }
     }
 
     fn worst(table: &[f64], expected: &[f64]) -> f64 {
@@ -223,7 +223,7 @@ mod tests {
         assert_eq!(grid, TableGrid { start_mm: -20.0, step_mm: 5.0, points: 5 });
         let means = [1.0, -7.25, 30.125, 0.0, 4.5];
         let points: Vec<_> = targets.into_iter().zip(means).collect();
-        assert_eq!(grid.fit_table(&line(&points)), means);
+        assert_eq!(grid.fit_table_values(&line(&points)), means);
     }
 
     #[test]
@@ -233,7 +233,7 @@ mod tests {
         let targets: Vec<f64> = points.iter().map(|point| point.0).collect();
         assert!(TableGrid::from_equally_spaced_targets(&targets).is_none());
         let grid = TableGrid::with_point_count(&targets, 5);
-        let table = grid.fit_table(&line(&points));
+        let table = grid.fit_table_values(&line(&points));
         assert!(worst(&table, &[-3.0, 9.5, 22.0, 34.5, 47.0]) < 1e-9, "{table:?}");
         assert!(grid.rms_loss_um(&[&line(&points)]) < 1e-9);
     }

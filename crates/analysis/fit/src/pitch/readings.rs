@@ -110,7 +110,7 @@ impl PitchReadings {
             direction: format!("dir_{axis}"),
             measured: measured_column_name(selection.axis),
         };
-        let (mut rows, rows_incomplete) = collect_raw_rows(file, &names, selection)?;
+        let (mut rows, rows_incomplete) = collect_complete_rows(file, &names, selection)?;
         if file.column("run").is_none() {
             let (_, target_of_row, is_record) = assign_targets(&rows);
             assign_run_numbers(&mut rows, &target_of_row, is_record);
@@ -120,7 +120,7 @@ impl PitchReadings {
             }
         }
         if rows.is_empty() {
-            let mut bad = missing_column_error(file, &names.measured);
+            let mut bad = header_error(file, &names.measured);
             bad.rule = format!("no row of the selected runs has a {}", names.measured);
             return Err(bad);
         }
@@ -215,7 +215,7 @@ impl PitchReadings {
 }
 
 /// Returns an error at the header, its rule still to be stated.
-fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> InputFileError {
+fn header_error(file: &UncompensatedRun<'_>, name: &str) -> InputFileError {
     // The empty name is never there, so that the place comes even where `name` is.
     let place =
         file.require_column("").map_or_else(|bad| bad.place, |_| file.value_location(0, name));
@@ -223,7 +223,7 @@ fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> InputFileErr
 }
 
 /// Returns the column `stem_unit`, which must not be there in another unit, be it next to it or instead.
-fn column_with_unit<'f>(
+fn require_column_in_unit<'f>(
     file: &'f UncompensatedRun<'_>,
     stem: &str,
     unit: &str,
@@ -233,7 +233,7 @@ fn column_with_unit<'f>(
     for other in LENGTH_UNITS.iter().filter(|&&other| other != unit) {
         let wrong = format!("{stem}_{other}");
         if file.column(&wrong).is_some() {
-            let mut bad = missing_column_error(file, &wrong);
+            let mut bad = header_error(file, &wrong);
             bad.rule = match file.column(&name) {
                 Some(_) => format!("mixed units: there are both {name} and {wrong}"),
                 None => {
@@ -246,14 +246,14 @@ fn column_with_unit<'f>(
     file.require_column(&name)
 }
 
-fn collect_raw_rows(
+fn collect_complete_rows(
     file: &UncompensatedRun<'_>,
     names: &AxisColumnNames,
     selection: &ReadingSelection<'_>,
 ) -> Result<(Vec<CompleteRow>, usize), InputFileError> {
     let axis = selection.axis.name();
-    let measured = column_with_unit(file, &format!("measured_d{axis}"), "um")?;
-    let positions = column_with_unit(file, axis, "mm")?;
+    let measured = require_column_in_unit(file, &format!("measured_d{axis}"), "um")?;
+    let positions = require_column_in_unit(file, axis, "mm")?;
     let directions = match (file.column(&names.direction), monotonic_direction(positions)) {
         (Some(stated), _) => Cow::Borrowed(stated),
         // The order says it.

@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, DVector};
 use super::sites::Sites;
 use crate::bspline::{
     BandedLeastSquares, SplineFit, clamped_knots, evaluate_basis, fit_least_squares_spline,
-    is_determined,
+    satisfies_schoenberg_whitney,
 };
 
 /// The order of every curve that has inner knots: cubic.
@@ -57,20 +57,20 @@ pub(super) struct KnotSearch<'s> {
 
 impl<'s> KnotSearch<'s> {
     pub(super) fn new(sites: &'s Sites, support: RequiredSites) -> Self {
-        let [first, last] = sites.end_positions();
+        let [first, last] = sites.end_positions_mm();
         // A quarter of the mean spacing: two knots for one kink are possible, and distinguished.
         let least_gap = 0.25 * (last - first) / (sites.len() - 1) as f64;
         Self { sites, support, least_gap }
     }
 
     fn knot_vector(&self, inner: &[f64]) -> Vec<f64> {
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         clamped_knots(CUBIC_ORDER, first, inner, last)
     }
 
     /// Returns the fit in these inner knots; `None` if they may not be.
     fn fit(&self, inner: &[f64]) -> Option<SplineFit> {
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let before = std::iter::once(first).chain(inner.iter().copied());
         let after = inner.iter().copied().chain(std::iter::once(last));
         if before.zip(after).any(|(low, high)| high - low < self.least_gap) {
@@ -78,7 +78,7 @@ impl<'s> KnotSearch<'s> {
         }
         let knots = self.knot_vector(inner);
         let is_supported = |(from, step)| {
-            is_determined(
+            satisfies_schoenberg_whitney(
                 &knots,
                 CUBIC_ORDER,
                 self.sites.x.iter().skip(from).step_by(step).copied(),
@@ -120,9 +120,9 @@ impl<'s> KnotSearch<'s> {
     /// Knots that may leave a smaller largest residual than the least sum of squares does: evenly
     /// spaced ones, and those to which the knots slide when large residuals weigh more and more
     /// (Lawson's way to the smallest maximum).
-    pub(super) fn minimax_starts(&self, from: &PlacedKnots) -> Vec<Vec<f64>> {
+    pub(super) fn minimax_candidates(&self, from: &PlacedKnots) -> Vec<Vec<f64>> {
         const LAWSON_ITERATIONS: usize = 4;
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let count = from.inner.len();
         let share = |n: usize| n as f64 / (count + 1) as f64;
         let even: Vec<f64> = (1..=count).map(|n| first + share(n) * (last - first)).collect();
@@ -353,7 +353,7 @@ impl<'s> KnotSearch<'s> {
             damped[(n, n)] += damping * damped[(n, n)] + floor;
         }
         let delta = damped.cholesky()?.solve(slope);
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let room = |low: f64, high: f64| {
             (MAX_STEP_FRACTION * (high - low)).min(high - low - self.least_gap)
         };

@@ -44,17 +44,18 @@ impl SelectedSpline {
 
     fn select_by_least_squares(sites: &Sites, options: &StraightnessFitOptions) -> Self {
         let cells = sites.merge_neighbours(MAX_KNOT_SEARCH_SITES);
-        let found = Self::with_required_sites(sites, &cells, options, RequiredSites::EverySecond);
+        let found =
+            Self::select_with_required_sites(sites, &cells, options, RequiredSites::EverySecond);
         let is_short_of_points =
             found.stopped == StopReason::Points && options.tolerance_um.is_some();
         if !is_short_of_points {
             return found;
         }
-        let second = Self::with_required_sites(sites, &cells, options, RequiredSites::All);
+        let second = Self::select_with_required_sites(sites, &cells, options, RequiredSites::All);
         if second.stopped == StopReason::Tolerance { second } else { found }
     }
 
-    fn with_required_sites(
+    fn select_with_required_sites(
         sites: &Sites,
         cells: &Sites,
         options: &StraightnessFitOptions,
@@ -70,7 +71,7 @@ impl SelectedSpline {
             let Some(at) = placed else { return path.finish(StopReason::Points) };
             path.try_knots(&at.inner, CUBIC_ORDER);
             if path.is_near_tolerance() {
-                for inner in search.minimax_starts(&at) {
+                for inner in search.minimax_candidates(&at) {
                     path.try_knots_within_tolerance(&inner);
                 }
             }
@@ -142,7 +143,7 @@ impl<'s> SelectionPath<'s> {
         if count > self.options.most_coefficients.max(2) {
             return;
         }
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let knots = clamped_knots(order, first, &round_knots(inner, first, last), last);
         let Some(fit) = fit_least_squares_spline(knots, order, self.sites.points()) else {
             self.since += 1;
@@ -191,7 +192,7 @@ impl<'s> SelectionPath<'s> {
 
     /// As many knots as the newest fit has, elsewhere: is it within the tolerance with them?
     fn try_knots_within_tolerance(&mut self, inner: &[f64]) {
-        let [first, last] = self.sites.end_positions();
+        let [first, last] = self.sites.end_positions_mm();
         let knots = clamped_knots(CUBIC_ORDER, first, &round_knots(inner, first, last), last);
         let fit = fit_least_squares_spline(knots, CUBIC_ORDER, self.sites.points());
         let (Some(fit), Some(tolerance), None) = (fit, self.options.tolerance_um, &self.within)

@@ -116,7 +116,7 @@ pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodPerformance> {
         .into_iter()
         .map(|(way, model)| {
             let held_out = (halves[1].len() >= MIN_HELD_OUT_SITES).then(|| {
-                let [_, last] = halves[0].end_positions();
+                let [_, last] = halves[0].end_positions_mm();
                 let half = fit_model(fit, way, &halves[0]);
                 let inside = halves[1].points().filter(|&(x, ..)| x <= last);
                 let left: Vec<f64> = inside.map(|(x, y, _)| y - half.evaluate(x)).collect();

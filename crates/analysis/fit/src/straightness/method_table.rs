@@ -16,7 +16,7 @@ use super::{
     StraightnessFitOptions, fit_straightness_run,
     method_comparison::{fit_models, paper_method_residual_steps},
     model::CurveModel,
-    run_fit::{error_axis, error_column_name, moving_axes},
+    run_fit::{error_column_name, moving_axes, resolve_error_axis},
     sites::Sites,
 };
 
@@ -59,7 +59,7 @@ pub struct MethodTableEntry {
     /// Different positions along it.
     pub positions: usize,
     /// The measured error without any correction.
-    pub without: ResidualError,
+    pub without: ResidualDeviation,
     /// Each way's residuals, and its demands on the machine.
     pub rows: Vec<MethodResult>,
     /// A curve by the paper's way: this many control points leave a largest residual of this many µm.
@@ -68,7 +68,7 @@ pub struct MethodTableEntry {
 
 /// The residual error.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualError {
+pub struct ResidualDeviation {
     /// Over the whole way.
     pub residual: ResidualSummary,
     /// The largest range within any metre, in µm: a standard may allow 5.
@@ -85,7 +85,7 @@ pub struct MethodResult {
     /// Coefficients of all curves that it takes.
     pub coefficients: usize,
     /// The residual error.
-    pub left: ResidualError,
+    pub left: ResidualDeviation,
     /// Largest jump of the correction's speed, in mm/s, at least 0; 0 for what has no corners.
     pub jump_mm_per_s: f64,
     /// The largest acceleration that the correction needs of its axis, in mm/s²: its curvature at this feed,
@@ -114,7 +114,7 @@ pub fn build_method_table(
     let mut curves: Vec<StraightnessCurve> = Vec::new();
     let mut diagonals: Vec<DiagonalRun<'_>> = Vec::new();
     for run in runs {
-        let error = error_axis(run, options.quantity)?;
+        let error = resolve_error_axis(run, options.quantity)?;
         let errors = run.require_column(&error_column_name(error))?;
         let axes: Vec<LinearAxis> =
             moving_axes(run, errors).into_iter().map(|(axis, _)| axis).collect();
@@ -157,7 +157,7 @@ fn build_curve_entry(
     options: &MethodTableOptions<'_>,
 ) -> MethodTableEntry {
     let sites = &curve.fit().sites;
-    let [low_mm, high_mm] = sites.end_positions();
+    let [low_mm, high_mm] = sites.end_positions_mm();
     let rows = curve.models.iter().map(|(way, model)| {
         let share =
             CurveContribution { model, start_mm: low_mm, cosine: 1.0, ends_mm: [low_mm, high_mm] };
@@ -166,7 +166,7 @@ fn build_curve_entry(
     MethodTableEntry {
         name: curve.curve.section_name(),
         positions: sites.len(),
-        without: ResidualError::from_residuals(sites, &sites.y),
+        without: ResidualDeviation::from_residuals(sites, &sites.y),
         rows: rows.collect(),
         steps: paper_method_residual_steps(curve.fit()),
     }
@@ -226,7 +226,7 @@ impl DiagonalRun<'_> {
                     model,
                     start_mm: starts_mm[n],
                     cosine: cosines[n],
-                    ends_mm: curve.fit().sites.end_positions(),
+                    ends_mm: curve.fit().sites.end_positions_mm(),
                 }));
             }
             rows.push(evaluate_method(way, &shares, &sites, options));
@@ -234,7 +234,7 @@ impl DiagonalRun<'_> {
         Ok(MethodTableEntry {
             name: format!("d{error} on the diagonal of {names}"),
             positions: sites.len(),
-            without: ResidualError::from_residuals(&sites, &sites.y),
+            without: ResidualDeviation::from_residuals(&sites, &sites.y),
             rows,
             steps: Vec::new(),
         })
@@ -312,19 +312,19 @@ struct CurveContribution<'m> {
 
 impl CurveContribution<'_> {
     /// Returns the position of its axis, and whether the curve was measured there.
-    fn axis_position(&self, way_mm: f64) -> (f64, bool) {
+    fn clamped_axis_position_mm(&self, way_mm: f64) -> (f64, bool) {
         let [low, high] = self.ends_mm;
         let x = self.start_mm + self.cosine * way_mm;
         (x.clamp(low, high), (low..=high).contains(&x))
     }
 
     fn value_um(&self, way_mm: f64) -> f64 {
-        self.model.evaluate(self.axis_position(way_mm).0)
+        self.model.evaluate(self.clamped_axis_position_mm(way_mm).0)
     }
 
     /// For 1 mm of the way: µm/mm and µm/mm².
     fn slope_and_curvature(&self, way_mm: f64) -> [f64; 2] {
-        let (x, is_inside) = self.axis_position(way_mm);
+        let (x, is_inside) = self.clamped_axis_position_mm(way_mm);
         if !is_inside {
             return [0.0; 2];
         }
@@ -342,7 +342,7 @@ fn evaluate_method(
     let value = |at: f64| shares.iter().map(|share| share.value_um(at)).sum::<f64>();
     let left: Vec<f64> = sites.points().map(|(at, um, _)| um - value(at)).collect();
     let feed_mm_per_s = options.feed_mm_per_min / 60.0;
-    let [first, last] = sites.end_positions();
+    let [first, last] = sites.end_positions_mm();
     let mut speed = Vec::new();
     let mut curvature_most = 0.0_f64;
     for n in 0..=EVALUATION_INTERVALS {
@@ -358,14 +358,14 @@ fn evaluate_method(
     MethodResult {
         way,
         coefficients: shares.iter().map(|share| share.model.coefficient_count()).sum(),
-        left: ResidualError::from_residuals(sites, &left),
+        left: ResidualDeviation::from_residuals(sites, &left),
         jump_mm_per_s,
         acceleration_mm_per_s2: bent.max(jump_mm_per_s / (1e-3 * options.cycle_ms)),
         speed,
     }
 }
 
-impl ResidualError {
+impl ResidualDeviation {
     fn from_residuals(sites: &Sites, left_um: &[f64]) -> Self {
         let mut over_a_metre_um = 0.0_f64;
         for (n, &from) in sites.x.iter().enumerate() {

@@ -113,7 +113,7 @@ pub(super) struct ChebyshevSeries {
 impl ChebyshevSeries {
     /// Returns the least squares polynomial of `degree`, or of the highest below it that the sites allow.
     pub(super) fn fit(sites: &Sites, degree: usize) -> Self {
-        let ends = sites.end_positions();
+        let ends = sites.end_positions_mm();
         let count = (degree + 1).min(sites.len() - 1);
         let mut row = vec![0.0; count];
         for count in (1..=count).rev() {

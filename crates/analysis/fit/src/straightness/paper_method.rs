@@ -18,7 +18,7 @@ use super::{knot_placement::CUBIC_ORDER, sites::Sites};
 use crate::bspline::{clamped_knots, fit_least_squares_spline};
 
 /// Points of largest curvature to begin with.
-const INITIAL_CURVATURE_POINTS: usize = 8;
+const MAX_INITIAL_CURVATURE_POINTS: usize = 8;
 
 /// The choice of the control values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,7 +95,7 @@ fn find_curvature_maxima(sites: &Sites) -> Vec<usize> {
         |n: &usize| curvatures[*n] > curvatures[*n - 1] && curvatures[*n] > curvatures[*n + 1];
     let mut peaks: Vec<usize> = (1..curvatures.len().saturating_sub(1)).filter(is_peak).collect();
     peaks.sort_by(|&a, &b| curvatures[b].total_cmp(&curvatures[a]));
-    peaks.truncate(INITIAL_CURVATURE_POINTS);
+    peaks.truncate(MAX_INITIAL_CURVATURE_POINTS);
     // curvatures[0] is that of the second site.
     peaks.iter().map(|n| n + 1).collect()
 }
@@ -109,7 +109,7 @@ fn spline_from_control_sites(
     let x = |n: usize| sites.x[chosen[n]];
     let inner: Vec<f64> =
         (1..=chosen.len() - CUBIC_ORDER).map(|j| (x(j) + x(j + 1) + x(j + 2)) / 3.0).collect();
-    let [first, last] = sites.end_positions();
+    let [first, last] = sites.end_positions_mm();
     let knots_mm = clamped_knots(CUBIC_ORDER, first, &inner, last);
     match control {
         ControlValueRule::Readings => {

@@ -46,10 +46,10 @@ pub fn fit_straightness_run(
     quantity: Option<&str>,
     options: &StraightnessFitOptions,
 ) -> Result<StraightnessCurve, InputFileError> {
-    let error = error_axis(run, quantity)?;
+    let error = resolve_error_axis(run, quantity)?;
     let column = error_column_name(error);
     let errors = run.require_column(&column)?;
-    let along = moving_axis(run, error, errors)?;
+    let along = find_moving_axis(run, error, errors)?;
     let position_column = format!("{}_mm", along.name());
     let positions = run.require_column(&position_column)?;
 
@@ -71,7 +71,7 @@ pub(super) fn error_column_name(axis: LinearAxis) -> String {
 }
 
 /// Returns the axis whose error is to be fitted.
-pub(super) fn error_axis(
+pub(super) fn resolve_error_axis(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
 ) -> Result<LinearAxis, InputFileError> {
@@ -127,7 +127,7 @@ pub(super) fn moving_axes(run: &UncompensatedRun<'_>, errors: &[f64]) -> Vec<(Li
 }
 
 /// Returns the one axis that moves while the error is measured.
-fn moving_axis(
+fn find_moving_axis(
     run: &UncompensatedRun<'_>,
     error: LinearAxis,
     errors: &[f64],

@@ -92,7 +92,7 @@ impl Sites {
         self.x.len()
     }
 
-    pub(super) fn end_positions(&self) -> [f64; 2] {
+    pub(super) fn end_positions_mm(&self) -> [f64; 2] {
         [self.x[0], self.x[self.len() - 1]]
     }
 

@@ -14,7 +14,7 @@ impl ThermalData {
             }
             _ => self.find_run_outliers(rows),
         };
-        report.excluded = rows.excluded_rows(&found, &self.y, &self.measured);
+        report.excluded = rows.list_excluded_rows(&found, &self.y, &self.measured);
         found.iter().for_each(|outlier| self.y[outlier.row] = f64::NAN);
     }
 
@@ -50,7 +50,7 @@ impl ThermalData {
             return robust::find_regression_outliers(law, &self.y);
         }
         let found = by_run.iter().flat_map(|y| off(y)).collect();
-        robust::isolated_outliers(found, warm, &self.y)
+        robust::retain_isolated_outliers(found, warm, &self.y)
     }
 
     /// Returns the rows that are used, by their temperature.

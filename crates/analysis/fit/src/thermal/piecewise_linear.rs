@@ -81,7 +81,7 @@ fn search_best_law(
         };
         let tables =
             TABLE_ROW_COUNTS.iter().map(|count| trial.evenly_spaced_temperatures_c(*count));
-        for knots_c in trial.best_kink_knots_c().into_iter().chain(tables) {
+        for knots_c in trial.find_best_kink_knots_c().into_iter().chain(tables) {
             if let Some(rms_um) = trial.held_out_rms_um(&knots_c, groups.as_deref()) {
                 found.push((rms_um, PiecewiseLinearLaw { knots_c, lag_s, is_once: false }));
             }
@@ -119,7 +119,7 @@ impl FixedLagData<'_> {
     }
 
     /// Returns the best kink: by sixteenths first, then around the best of them.
-    fn best_kink_knots_c(&self) -> Option<Vec<f64>> {
+    fn find_best_kink_knots_c(&self) -> Option<Vec<f64>> {
         let (low, high) = self.temperature_range_c();
         let part = 1.0 / KINK_GRID_INTERVALS as f64;
         let mut best: Option<(f64, f64)> = None;

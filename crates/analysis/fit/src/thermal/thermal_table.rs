@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// A table must leave at least this share less than the lines do.
-const MIN_RMS_REDUCTION: f64 = 0.1;
+const MIN_RELATIVE_RMS_REDUCTION: f64 = 0.1;
 
 /// y = (a + b·P)·(T − T₀).
 pub(super) struct CommonReferenceTemperatureModel<'a> {
@@ -106,11 +106,11 @@ impl FittedTable {
                 (0..count).map(|at| low + (high - low) * at as f64 / last as f64).collect()
             }
         };
-        Self::with_knots(data, mode, lag_s, &knots)
+        Self::fit_with_knots(data, mode, lag_s, &knots)
     }
 
     /// With rows at these temperatures.
-    pub(super) fn with_knots(
+    pub(super) fn fit_with_knots(
         data: &ThermalData,
         mode: ThermalMode,
         lag_s: f64,
@@ -159,7 +159,7 @@ impl FittedTable {
         // F of several degrees is below t² of one at the same probability, shared among them.
         let limit = t_quantile(1.0 - (1.0 - CONFIDENCE_LEVEL) / (2.0 * more), degrees).powi(2);
         let left = (self.solution.residual_squares / squares).sqrt();
-        ratio > limit && left < 1.0 - MIN_RMS_REDUCTION
+        ratio > limit && left < 1.0 - MIN_RELATIVE_RMS_REDUCTION
     }
 
     pub(super) fn add_to_report(&self, report: &mut FitReport, mode: ThermalMode) {

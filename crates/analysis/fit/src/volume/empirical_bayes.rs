@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{
     design_matrix::{DesignMatrix, NormalEquationsByKind},
     error_parameters::{ErrorParameter, ErrorPart, GeometricError},
-    nuisance_parameters::SetupUncertainty,
+    nuisance_parameters::ArtefactUncertainty,
 };
 
 /// The weight of a usual size, in constants.
@@ -104,7 +104,7 @@ impl Variances {
     #[must_use]
     pub(crate) fn typical(
         design: &DesignMatrix,
-        uncertainty: &SetupUncertainty,
+        uncertainty: &ArtefactUncertainty,
         noise_um: [f64; 4],
         size: f64,
     ) -> Self {
@@ -201,7 +201,7 @@ pub(crate) fn compute_posterior(
 pub(crate) fn estimate_variances(
     design: &DesignMatrix,
     normals: &NormalEquationsByKind,
-    uncertainty: &SetupUncertainty,
+    uncertainty: &ArtefactUncertainty,
     noise_um: f64,
 ) -> (Variances, Posterior) {
     let mut variances = Variances::typical(design, uncertainty, [noise_um; 4], 1.0);

@@ -12,12 +12,12 @@ use super::{
     design_matrix::{DesignMatrix, NormalEquationsByKind, normal_equations},
     empirical_bayes::{Posterior, Variances, compute_posterior},
     error_parameters::{ErrorPart, GeometricError},
-    nuisance_parameters::SetupUncertainty,
+    nuisance_parameters::ArtefactUncertainty,
     reading::{CirclePosition, Pose, VolumeReading},
 };
 
 /// Share of the standard deviation before the measurement that may be left of a known error.
-pub(crate) const MAX_KNOWN_STD_RATIO: f64 = 0.4;
+pub(crate) const MAX_REMAINING_STD_RATIO: f64 = 0.4;
 /// How much longer a second tool is.
 pub(crate) const TOOL_LENGTH_DIFFERENCE_MM: f64 = 100.0;
 /// How much larger than usual an error may be in what a measurement can see.
@@ -100,7 +100,7 @@ fn grid_position_mm([first, last]: [f64; 2], number: usize) -> f64 {
 pub(crate) fn assess_observability(
     design: &DesignMatrix,
     normal_equations: &NormalEquationsByKind,
-    uncertainty: &SetupUncertainty,
+    uncertainty: &ArtefactUncertainty,
     noise_um: [f64; 4],
 ) -> (Variances, Posterior) {
     let wide = Variances::typical(design, uncertainty, noise_um, PRIOR_WIDENING_FACTOR);
@@ -137,7 +137,7 @@ pub(crate) fn assess_errors(
         let open = remaining_std_ratio(design, error, observability);
         let own = design.constants.indices_of_error(error);
         let acts = own.iter().any(|at| acting[*at]);
-        let is_known = acts && open <= MAX_KNOWN_STD_RATIO;
+        let is_known = acts && open <= MAX_REMAINING_STD_RATIO;
         let at: Vec<[f64; 2]> =
             evaluation_rows(design, error).iter().map(|row| found.predict(row)).collect();
         let most = |sign: f64| at.iter().map(|mode| sign * mode[0]).fold(f64::MIN, f64::max);

@@ -49,7 +49,7 @@ impl<'m> ForwardKinematics<'m> {
 
     /// Returns a direction of the workpiece along the machine's axes.
     #[must_use]
-    pub fn workpiece_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
+    pub(crate) fn workpiece_direction_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
         let table = self.chain.table.iter().rev();
         table.fold(vector, |vector, &axis| {
             rotate_about_axis(vector, axis, -pose.angle_deg[axis.index()])
@@ -58,7 +58,7 @@ impl<'m> ForwardKinematics<'m> {
 
     /// Returns a direction of the tool along the machine's axes.
     #[must_use]
-    pub fn tool_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
+    pub(crate) fn tool_direction_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
         let head = self.chain.head.iter().rev();
         head.fold(vector, |vector, &axis| {
             rotate_about_axis(vector, axis, pose.angle_deg[axis.index()])

@@ -9,11 +9,11 @@ use super::{
     design_matrix::{DesignMatrix, normal_equations},
     error_parameters::ErrorParameters,
     identifiability::{
-        ErrorAssessment, MAX_KNOWN_STD_RATIO, TOOL_LENGTH_DIFFERENCE_MM, assess_observability,
+        ErrorAssessment, MAX_REMAINING_STD_RATIO, TOOL_LENGTH_DIFFERENCE_MM, assess_observability,
         remaining_std_ratio,
     },
     kinematics::ForwardKinematics,
-    nuisance_parameters::SetupUncertainty,
+    nuisance_parameters::ArtefactUncertainty,
     reading::{CirclePosition, Pose, ReadingKind, VolumeReading, dot},
 };
 
@@ -31,7 +31,7 @@ pub(crate) fn propose_next_tests(
     machine: &Machine,
     constants: &ErrorParameters,
     readings: &[VolumeReading],
-    uncertainty: &SetupUncertainty,
+    uncertainty: &ArtefactUncertainty,
     noise_um: [f64; 4],
     known: &mut [ErrorAssessment],
 ) {
@@ -44,7 +44,7 @@ pub(crate) fn propose_next_tests(
         if known
             .iter()
             .zip(&best)
-            .all(|(assessment, best)| assessment.is_known || best.0 <= MAX_KNOWN_STD_RATIO)
+            .all(|(assessment, best)| assessment.is_known || best.0 <= MAX_REMAINING_STD_RATIO)
         {
             break;
         }
@@ -65,7 +65,7 @@ pub(crate) fn propose_next_tests(
         for (it, best) in known.iter().zip(&mut best) {
             let left = remaining_std_ratio(&design, it.error, &observability);
             // The first that settles it stays: candidates begin with the easiest.
-            if best.0 > MAX_KNOWN_STD_RATIO && left < best.0 {
+            if best.0 > MAX_REMAINING_STD_RATIO && left < best.0 {
                 *best = (left, candidate.text.clone());
             }
         }
@@ -73,7 +73,7 @@ pub(crate) fn propose_next_tests(
     for (it, (left, text)) in known.iter_mut().zip(best) {
         it.next_test = match (it.is_known, left) {
             (true, _) => continue,
-            (false, left) if left <= MAX_KNOWN_STD_RATIO => text,
+            (false, left) if left <= MAX_REMAINING_STD_RATIO => text,
             (false, left) if left <= MAX_HELPFUL_STD_RATIO * it.open => format!("{text}; it helps and does not settle it"),
             (false, _) if !it.acts => {
                 "it does not move the tip: with this tool no measurement of the tip sees it, and no part does".into()
@@ -275,7 +275,8 @@ fn sphere_readings(
                 }
                 // To first order the axes follow the sphere.
                 let off = frame.tip_on_workpiece_mm(&pose);
-                let way = frame.workpiece_to_machine([0, 1, 2].map(|n| own[n] - off[n]), &pose);
+                let way =
+                    frame.workpiece_direction_to_machine([0, 1, 2].map(|n| own[n] - off[n]), &pose);
                 (0..3).for_each(|n| pose.position_mm[n] += way[n]);
                 push_ball_readings(&mut readings, 0, pose);
             }

@@ -42,7 +42,7 @@ pub enum NuisanceParameter {
 
 /// How large these may be, in µm, µrad or µm/m.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct SetupUncertainty {
+pub(crate) struct ArtefactUncertainty {
     /// Of the scale; standard uncertainty in µm/m.
     pub scale_um_per_m: f64,
     /// Of a point of the artefact against its certificate, in µm; 0: it is right.
@@ -52,7 +52,7 @@ pub(crate) struct SetupUncertainty {
 const PRIOR_POSITION_STD_UM: f64 = 1e4;
 const PRIOR_ROTATION_STD_URAD: f64 = 1e4;
 const PRIOR_TIP_STD_UM: f64 = 1e3;
-const PRIOR_DIRECTION_STD_UM: f64 = 20.0;
+const PRIOR_SERVO_MISMATCH_STD_UM: f64 = 20.0;
 /// A straight edge that nothing is known of: RMS of its form.
 const PRIOR_EDGE_STD_UM: f64 = 10.0;
 
@@ -65,14 +65,14 @@ fn edge_modes() -> &'static SplineModes {
 impl NuisanceParameter {
     /// Returns the standard deviation that is expected before anything is read.
     #[must_use]
-    pub(crate) fn prior_std(self, uncertainty: &SetupUncertainty) -> f64 {
+    pub(crate) fn prior_std(self, uncertainty: &ArtefactUncertainty) -> f64 {
         match self {
             Self::Zero(..) => PRIOR_POSITION_STD_UM,
             Self::Turn(..) | Self::Beam(..) => PRIOR_ROTATION_STD_URAD,
             Self::Tip(..) => PRIOR_TIP_STD_UM,
             Self::Scale(_) => uncertainty.scale_um_per_m,
             Self::Circle(_, component) if component < 3 => PRIOR_TIP_STD_UM,
-            Self::Circle(..) => PRIOR_DIRECTION_STD_UM,
+            Self::Circle(..) => PRIOR_SERVO_MISMATCH_STD_UM,
             Self::Edge(_, form) => {
                 PRIOR_EDGE_STD_UM * edge_modes().shares.get(form).map_or(0.0, |share| share.sqrt())
             }
@@ -175,7 +175,7 @@ fn workpiece_nuisance_sensitivities(
     arm_mm: [f64; 3],
 ) -> Vec<(NuisanceParameter, f64)> {
     let (own, aligned, pose): (_, _, &Pose) = (reading.setup, reading.aligned, &reading.pose);
-    let seen = |vector| dot(reading.toward, frame.workpiece_to_machine(vector, pose));
+    let seen = |vector| dot(reading.toward, frame.workpiece_direction_to_machine(vector, pose));
     let mut all = vec![(NuisanceParameter::Scale(reading.kind), seen(arm_mm) / 1000.0)];
     if let Some(EdgePosition { edge, share }) = reading.on_edge {
         let forms = edge_modes().evaluate(share).into_iter().enumerate();
@@ -186,7 +186,7 @@ fn workpiece_nuisance_sensitivities(
         one[n] = 1.0;
         all.push((NuisanceParameter::Zero(own, n), seen(one)));
         all.push((NuisanceParameter::Turn(aligned, n), seen(cross(one, arm_mm)) / 1000.0));
-        let tip = dot(reading.toward, frame.tool_to_machine(one, pose));
+        let tip = dot(reading.toward, frame.tool_direction_to_machine(one, pose));
         all.push((NuisanceParameter::Tip(reading.source[0], pose.tool_mm.to_bits(), n), tip));
         if let Some(point) = reading.point {
             all.push((NuisanceParameter::Point(point, n), seen(one)));

@@ -7,7 +7,7 @@ use trueup_machine::{
 };
 
 use super::reading::Pose;
-use crate::partial_prediction::{is_model_input, restrict_to_available_columns};
+use crate::partial_prediction::{is_non_pose_input, restrict_to_available_columns};
 
 /// A pose, the row of the run that it comes from, and the directions of approach.
 #[derive(Clone, Copy, Debug)]
@@ -69,7 +69,7 @@ fn format_poses_as_run(run: &RunFile, machine: &Machine, stated: &[PoseWithAppro
     let others: Vec<(&str, &[f64])> = run
         .columns()
         .iter()
-        .filter(|column| is_model_input(machine, &column.name))
+        .filter(|column| is_non_pose_input(machine, &column.name))
         .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))
         .collect();
     let mut text = String::from("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,dir_x,dir_y,dir_z");

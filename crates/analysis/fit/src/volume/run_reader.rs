@@ -12,7 +12,7 @@
 
 use trueup_machine::{
     InputFileError, Location, Machine, RunFile,
-    applied_offsets::applied_offsets_um,
+    applied_offsets::compute_applied_offsets_um,
     machine_file::{LinearAxis, RotaryAxis},
 };
 
@@ -114,10 +114,11 @@ impl<'r> RunColumns<'r> {
                 ));
             }
         }
-        let offsets_um = applied_offsets_um(run, Some(machine))?.map(|(offsets_um, notes)| {
-            warnings.extend(notes);
-            offsets_um
-        });
+        let offsets_um =
+            compute_applied_offsets_um(run, Some(machine))?.map(|(offsets_um, notes)| {
+                warnings.extend(notes);
+                offsets_um
+            });
         Ok(Self {
             position_mm,
             angle_deg,
@@ -189,7 +190,7 @@ fn read_rows(
     read_diagonal_readings(run, file, &columns, &mut setups, &mut |component| {
         add(component, directions(component.source[1]))
     })?;
-    read_circles(run, file, machine, &columns, &mut setups, &mut add)?;
+    read_circle_readings(run, file, machine, &columns, &mut setups, &mut add)?;
     if readings.is_empty() {
         run.require_column(COMPONENT_COLUMNS[0])?;
     }
@@ -282,7 +283,7 @@ fn edge_position(
         let all: Vec<usize> = (0..run.row_count()).collect();
         return Some(EdgePosition { edge: axis, share: share(&|row| point[row], &all)? });
     }
-    let (rows, range) = setup_rows(columns, run, row);
+    let (rows, range) = setup_rows_and_travels(columns, run, row);
     let along =
         (0..3).max_by(|a, b| range[*a].total_cmp(&range[*b])).filter(|other| *other != axis)?;
     // Numbers below 3 are those of edges with points.
@@ -291,7 +292,11 @@ fn edge_position(
 }
 
 /// Returns the rows of the set-up of a row, and how far X, Y and Z move in them.
-fn setup_rows(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> (Vec<usize>, [f64; 3]) {
+fn setup_rows_and_travels(
+    columns: &RunColumns<'_>,
+    run: &RunFile,
+    row: usize,
+) -> (Vec<usize>, [f64; 3]) {
     let is_same = |other: &usize| {
         columns.setup.is_none_or(|setup| setup[*other].to_bits() == setup[row].to_bits())
     };
@@ -305,7 +310,7 @@ fn setup_rows(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> (Vec<usize
 
 /// Returns the axis that moves in the set-up of a row, where no other one does.
 fn sole_moving_axis(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> Option<usize> {
-    let (_, range) = setup_rows(columns, run, row);
+    let (_, range) = setup_rows_and_travels(columns, run, row);
     let is_still = |axis: usize, along: usize| axis == along || range[axis] < 0.01 * range[along];
     (0..3).find(|along| (0..3).all(|axis| is_still(axis, *along)))
 }
@@ -352,7 +357,7 @@ fn read_diagonal_readings(
     Ok(())
 }
 
-fn read_circles(
+fn read_circle_readings(
     run: &RunFile,
     file: usize,
     machine: &Machine,

@@ -32,7 +32,7 @@ const SPLINE_SAMPLE_INTERVALS: u32 = 400;
 
 /// Returns the sections, and which errors they have.
 #[must_use]
-pub(crate) fn build_edit(
+pub(crate) fn build_machine_file_edit(
     machine: &Machine,
     constants: &ErrorParameters,
     mean: &[f64],
@@ -64,7 +64,7 @@ pub(crate) fn build_edit(
             });
         out.sections.push(section);
     }
-    out.write_angles(warnings);
+    out.write_angular_errors(warnings);
     out.write_rotary_axis_lines();
     let edit = MachineFileEdit { sections: out.sections, ..MachineFileEdit::default() };
     (edit, out.written)
@@ -131,7 +131,7 @@ impl SectionWriter<'_> {
                 ));
                 continue;
             }
-            let pitch = add_curve_to_table(&curve, own.pitch.as_ref());
+            let pitch = sum_curve_and_table(&curve, own.pitch.as_ref());
             self.sections
                 .push(pitch.to_section(axis).with_header_comment(self.section_comment(error)));
             self.written.push(error);
@@ -201,7 +201,7 @@ impl SectionWriter<'_> {
         }
     }
 
-    fn write_angles(&mut self, warnings: &mut Vec<String>) {
+    fn write_angular_errors(&mut self, warnings: &mut Vec<String>) {
         for error in self.constants.distinct_errors() {
             let GeometricError::Angle(about, along) = error else { continue };
             let Some(curve) = self.error_spline(error) else { continue };
@@ -271,7 +271,7 @@ impl SectionWriter<'_> {
 }
 
 /// Returns a table of a curve and of the table that was there.
-fn add_curve_to_table(curve: &BSpline, there: Option<&PitchErrorTable>) -> PitchErrorTable {
+fn sum_curve_and_table(curve: &BSpline, there: Option<&PitchErrorTable>) -> PitchErrorTable {
     let ends = [curve.knots_mm[0], curve.knots_mm[curve.knots_mm.len() - 1]];
     let (mut first, mut last) = (ends[0], ends[1]);
     let mut step = (last - first) / TABLE_INTERVALS as f64;

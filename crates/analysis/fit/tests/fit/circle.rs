@@ -4,7 +4,9 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_fit::circle::{CircleCause, CircleFinding, CircleReport, CircleVerdict, fit_circles};
+use trueup_fit::circle::{
+    CircleCause, CircleFinding, CircleReport, CircleVerdict, analyse_circles,
+};
 use trueup_machine::{Machine, MachineFile, RunFile, machine_file::LinearAxis};
 
 use crate::circle_drawn::{CircleFault, Drawn};
@@ -16,7 +18,7 @@ fn run(csv: &str) -> RunFile {
 }
 
 fn report(drawn: &Drawn) -> CircleReport {
-    fit_circles(&[run(&drawn.csv())], None).expect("a circle")
+    analyse_circles(&[run(&drawn.csv())], None).expect("a circle")
 }
 
 fn machine(report: &CircleReport) -> Machine {
@@ -168,7 +170,7 @@ fn what_is_written_leaves_a_clean_circle() {
     let drawn = Drawn { noise_um: 0.3, setup_um: [5.0, -9.0, 3.0], ..Drawn::ideal(faults, 100.0) };
     let before = report(&drawn);
     let machine = machine(&before);
-    let after = fit_circles(&[run(&drawn.csv())], Some(&machine)).expect("a circle");
+    let after = analyse_circles(&[run(&drawn.csv())], Some(&machine)).expect("a circle");
     assert_eq!(after.verdict, CircleVerdict::Clean, "{:?}", named(&after));
     assert!(after.circles[0].before.rms_um < 0.4, "{:?}", after.circles[0].before);
 }
@@ -221,7 +223,7 @@ fn a_bridge_that_was_on_is_taken_out_along_the_radius() {
         let cells: Vec<String> = cells.iter().map(f64::to_string).collect();
         with += &format!("{},{offset},0,1\n", cells.join(","));
     }
-    let report = fit_circles(&[run(&with)], None).expect("a circle");
+    let report = analyse_circles(&[run(&with)], None).expect("a circle");
     assert!((value(only(&report), "um_per_m") - 100.0).abs() < 0.5);
 }
 
@@ -232,7 +234,7 @@ fn two_files_in_two_planes_share_one_backlash_and_their_scales() {
     // The same circle with X as the second axis of ZX: Z is the first, and does not err.
     let zx = Drawn::ideal(vec![CircleFault::Play(1, 6.0), CircleFault::Scale(-80.0)], 100.0).csv();
     let zx = zx.replacen("x_mm,y_mm", "z_mm,x_mm", 1);
-    let report = fit_circles(&[run(&xy), run(&zx)], None).expect("circles");
+    let report = analyse_circles(&[run(&xy), run(&zx)], None).expect("circles");
     assert_eq!(report.circles.len(), 2);
     let axes = machine(&report).axes;
     assert!((axes[0].backlash.expect("of X").width_um - 6.0).abs() < 0.05, "{:?}", axes[0]);
@@ -251,7 +253,7 @@ fn two_circles_in_one_plane_write_their_squareness_once() {
         ..Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0)
     };
     let runs = [at([20.0, -35.0]), at([320.0, 65.0])].map(|drawn| run(&drawn.csv()));
-    let report = fit_circles(&runs, None).expect("circles");
+    let report = analyse_circles(&runs, None).expect("circles");
     assert_eq!(report.circles.len(), 2);
     let squareness = &machine(&report).squareness;
     assert!((squareness[0].um_per_m - 100.0).abs() < 0.5, "{squareness:?}");

@@ -29,7 +29,7 @@ fn read(path: &Path) -> UncompensatedRun<'static> {
 
 /// Returns length and CRC of what the machine file `text` compiles to with what was fitted.
 fn length_and_crc(text: &str, report: &FitReport) -> (usize, u32) {
-    assert!(report.verdict.is_fitted(), "{:?}", report.verdict);
+    assert!(report.verdict.is_usable(), "{:?}", report.verdict);
     let fitted = report.edit.apply(text, Path::new("m.toml")).expect("it loads");
     let machine = MachineFile::parse(&fitted, Path::new("m.toml")).expect("what was written");
     let compiled = compile(&machine).expect("it fits the board");

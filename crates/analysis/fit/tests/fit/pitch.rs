@@ -96,7 +96,7 @@ fn a_scale_on_the_axis_gets_no_backlash() {
     let fit = fitted(&run, &options);
     assert!(fit.backlash.is_none() && fit.pitch.expect("it repeats").reverse_um.is_some());
     let lash = fit_backlash(&run, X, &options).expect("it can be read");
-    assert!(!lash.report.verdict.is_fitted());
+    assert!(!lash.report.verdict.is_usable());
 }
 
 #[test]
@@ -106,7 +106,7 @@ fn scatter_alone_is_not_compensated() {
         let mut noise = noise(seed, 10.0);
         let run = run_of(&sweeps(5, &UNEVEN, |_, _, _| noise()));
         accepted +=
-            usize::from(fitted(&run, &PitchFitOptions::default()).report.verdict.is_fitted());
+            usize::from(fitted(&run, &PitchFitOptions::default()).report.verdict.is_usable());
     }
     println!("noise alone compensated: {accepted} of 100");
     assert!(accepted <= 3);

@@ -8,7 +8,7 @@ use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
     CurveMethod, StraightnessFitOptions,
     method_table::{
-        MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualError,
+        MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualDeviation,
         build_method_table,
     },
 };
@@ -85,7 +85,7 @@ fn of(entry: &MethodTableEntry, way: CurveMethod) -> &MethodResult {
 
 /// Returns true if what `a` leaves changes less from one position to the next than what `b` leaves, as shares of their
 /// ranges.
-fn is_smoother(a: &ResidualError, b: &ResidualError) -> bool {
+fn is_smoother(a: &ResidualDeviation, b: &ResidualDeviation) -> bool {
     a.step_um / a.residual.range_um < b.step_um / b.residual.range_um
 }
 

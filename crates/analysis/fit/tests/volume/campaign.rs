@@ -180,7 +180,7 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
         let [start, end] = [&from, &to].map(|at| drawn.error_um(at));
         let truth: f64 = (0..3).map(|n| toward[n] * (end[n] - start[n])).sum();
         let pose = |at: &At| Pose { position_mm: at.mm, angle_deg: at.deg, tool_mm: at.tool_mm };
-        let [um, sd] = report.model.error_difference_um(&pose(&from), &pose(&to), toward);
+        let [um, sd] = report.model.error_difference_with_std_um(&pose(&from), &pose(&to), toward);
         covered[0] += usize::from((um - truth).abs() <= NORMAL_QUANTILE_975 * sd);
         covered[1] += 1;
     }

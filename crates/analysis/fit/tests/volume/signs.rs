@@ -32,7 +32,7 @@ fn by_laser_um(machine: &str, column: &str) -> f64 {
     }
     let mut report = fit(&text, &file(machine), &STATED);
     let ends = [pose([0.0, 100.0, 50.0]), pose([400.0, 100.0, 50.0])];
-    report.model.error_difference_um(&ends[0], &ends[1], [1.0, 0.0, 0.0])[0]
+    report.model.error_difference_with_std_um(&ends[0], &ends[1], [1.0, 0.0, 0.0])[0]
 }
 
 #[test]
@@ -78,7 +78,8 @@ fn axes_that_go_too_far_are_positive_by_step_diagonals() {
     let mut report = fit(&text, &file(MACHINE), &STATED);
     let length = TRAVEL_MM.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
     let toward = TRAVEL_MM.map(|mm| mm / length);
-    let [um, _] = report.model.error_difference_um(&pose([0.0; 3]), &pose(TRAVEL_MM), toward);
+    let [um, _] =
+        report.model.error_difference_with_std_um(&pose([0.0; 3]), &pose(TRAVEL_MM), toward);
     // 583 mm too long by 35 µm.
     assert!((um - TOO_LONG_UM_PER_MM * length).abs() < 5.0, "{um}");
 }

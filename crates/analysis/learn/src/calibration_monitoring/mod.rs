@@ -29,7 +29,7 @@ use recommended_measurement::ComparisonKind;
 /// The change that is to be found, in standard deviations of what is measured less what is predicted.
 pub const TARGET_SHIFT_SIGMAS: f64 = 3.0;
 /// Fewer readings do not say what the noise is: with 40 σ is known to an eighth, and h has room for that.
-const MIN_MONITORED_READINGS: usize = 40;
+const MIN_BASELINE_READINGS: usize = 40;
 /// A memory beyond this cannot be distinguished from a drift: 50 rows.
 const MAX_AUTOCORRELATION: f64 = 0.98;
 /// A reading beyond this many standard deviations is bad, or the machine has changed: one good one in 16 000.
@@ -109,16 +109,19 @@ impl BaselineNoise {
     /// # Errors
     /// There are too few rows, or they do not scatter at all; the rule.
     pub fn from_residuals(apart_um: &[f64], row_s: f64) -> Result<Self, String> {
-        Self::with_gaps(&apart_um.iter().map(|um| (1.0, *um)).collect::<Vec<_>>(), row_s)
+        Self::from_gapped_residuals(
+            &apart_um.iter().map(|um| (1.0, *um)).collect::<Vec<_>>(),
+            row_s,
+        )
     }
 
     /// Returns the same where each reading is this many rows after the one before it.
-    fn with_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
+    fn from_gapped_residuals(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
         let there: Vec<f64> = rows.iter().map(|row| row.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
-        if count < MIN_MONITORED_READINGS {
+        if count < MIN_BASELINE_READINGS {
             return Err(format!(
-                "has {count} rows that are measured and predicted; at least {MIN_MONITORED_READINGS} are needed"
+                "has {count} rows that are measured and predicted; at least {MIN_BASELINE_READINGS} are needed"
             ));
         }
         let mut mean_um = median(&mut there.clone());
@@ -238,15 +241,18 @@ pub fn monitor_calibration(
     quantity: Option<Quantity>,
     false_alarm_h: f64,
 ) -> Result<CalibrationMonitoringReport, InputFileError> {
-    let then = prediction_residuals(machine, calibrated, quantity)?;
-    let now = prediction_residuals(machine, run, quantity)?;
+    let then = compute_monitoring_residuals(machine, calibrated, quantity)?;
+    let now = compute_monitoring_residuals(machine, run, quantity)?;
     let bad = |rule: String| calibrated.value_error(0, &then.column, rule);
     let row_s = sampling_interval_s(calibrated, &then.apart_um);
-    let noise = BaselineNoise::with_gaps(&sampling_gaps(calibrated, &then.apart_um, row_s), row_s)
-        .map_err(bad)?;
+    let noise = BaselineNoise::from_gapped_residuals(
+        &rows_with_gaps(calibrated, &then.apart_um, row_s),
+        row_s,
+    )
+    .map_err(bad)?;
     let mut watch = CusumMonitor::new(noise, false_alarm_h);
     let (mut outliers, mut alarm) = (Vec::new(), None);
-    for (row, (gap, um)) in sampling_gaps(run, &now.apart_um, row_s).into_iter().enumerate() {
+    for (row, (gap, um)) in rows_with_gaps(run, &now.apart_um, row_s).into_iter().enumerate() {
         let since = watch.update_after_gap(gap, um);
         if watch.gross[0] != 0.0 {
             outliers.push(row + 1);
@@ -286,7 +292,7 @@ struct MonitoringResiduals {
 
 /// Returns measured less predicted, and predicted, by row. Without a measurement the sensor is compared with the model of
 /// temperature or time that the file has, whichever of them is the source.
-fn prediction_residuals(
+fn compute_monitoring_residuals(
     machine: &Machine,
     run: &RunFile,
     requested: Option<Quantity>,
@@ -349,7 +355,7 @@ fn sampling_interval_s(run: &RunFile, apart_um: &[f64]) -> f64 {
 }
 
 /// Returns each row with the steps of the clock since the one before it: 1 where there is no clock.
-fn sampling_gaps(run: &RunFile, apart_um: &[f64], row_s: f64) -> Vec<(f64, f64)> {
+fn rows_with_gaps(run: &RunFile, apart_um: &[f64], row_s: f64) -> Vec<(f64, f64)> {
     let times = run.column("time_s");
     let mut before_s: Option<f64> = None;
     let rows = apart_um.iter().enumerate().map(|(row, um)| {

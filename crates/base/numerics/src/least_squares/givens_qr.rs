@@ -155,7 +155,7 @@ impl QrSolution {
 
     /// s²: the variance of the residuals; infinite without degrees of freedom.
     #[must_use]
-    pub fn variance(&self) -> f64 {
+    pub fn residual_variance(&self) -> f64 {
         match self.degrees_of_freedom() {
             0 => f64::INFINITY,
             degrees => self.residual_squares / degrees as f64,
@@ -167,7 +167,7 @@ impl QrSolution {
     pub fn covariance(&self, one: usize, other: usize) -> f64 {
         let n = self.coefficients.len();
         let rows = self.inverse[one * n..(one + 1) * n].iter().zip(&self.inverse[other * n..]);
-        self.variance() * rows.map(|(a, b)| a * b).sum::<f64>()
+        self.residual_variance() * rows.map(|(a, b)| a * b).sum::<f64>()
     }
 
     /// Returns the standard error of a coefficient.
@@ -187,7 +187,7 @@ impl QrSolution {
     #[must_use]
     pub fn half_width_for_gradient(&self, gradient: &[f64]) -> f64 {
         t_quantile(0.975, self.degrees_of_freedom() as f64)
-            * (self.variance() * self.leverage(gradient)).sqrt()
+            * (self.residual_variance() * self.leverage(gradient)).sqrt()
     }
 
     /// h: the own weight of a row in its fitted value; its residual over 1 − h is the one from the
@@ -246,7 +246,7 @@ mod tests {
         let solution = triangle.solve().expect("spread data");
         let mean = x.iter().sum::<f64>() / 25.0;
         let spread: f64 = x.iter().map(|x| (x - mean).powi(2)).sum();
-        let slope = (solution.variance() / spread).sqrt();
+        let slope = (solution.residual_variance() / spread).sqrt();
         assert!((solution.standard_error(1) / slope - 1.0).abs() < 1e-6);
         let gradient = solution.half_width_for_gradient(&[0.0, 1.0]);
         assert!((gradient / solution.confidence_half_width(1) - 1.0).abs() < 1e-12);

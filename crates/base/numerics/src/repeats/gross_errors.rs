@@ -49,7 +49,7 @@ pub fn find_gross_errors(readings: &[RepeatReading]) -> Vec<bool> {
         // What has no repeats is NaN, and beyond no limit.
         let is_alone = |near: f64| near.is_nan() || (own - near).abs() > limit;
         found[row] = own.abs() > limit
-            && nearest_neighbour_deviations(readings, &deviation, row).into_iter().all(is_alone);
+            && smallest_neighbour_deviations(readings, &deviation, row).into_iter().all(is_alone);
     }
     let count = found.iter().filter(|found| **found).count();
     if count as f64 > (MAX_OUTLIER_FRACTION * readings.len() as f64).ceil() { none } else { found }
@@ -87,7 +87,7 @@ fn repeatability_scale(readings: &[RepeatReading], groups: &[Vec<usize>]) -> Opt
 /// Of the neighbours before and of those after `row` in its cycle, what the one that is nearest to its
 /// median is from it: only where all of a side have moved has more moved than one reading. NaN where
 /// there is one neighbour or none.
-fn nearest_neighbour_deviations(
+fn smallest_neighbour_deviations(
     readings: &[RepeatReading],
     deviation: &[f64],
     row: usize,

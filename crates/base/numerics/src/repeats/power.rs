@@ -29,5 +29,5 @@ pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f6
     let more = places.saturating_sub(1) as f64;
     let freedom = (places * cycles.saturating_sub(1)) as f64;
     let lambda = (places * cycles) as f64 * (size / scatter).powi(2);
-    noncentral_f::power(SIGNIFICANCE_LEVEL, more, freedom, lambda)
+    noncentral_f::f_test_power(SIGNIFICANCE_LEVEL, more, freedom, lambda)
 }

@@ -9,7 +9,7 @@ const NEIGHBOURS_PER_SIDE: usize = 3;
 /// off too, the relation is another one there, and no row of it is a gross error. Rows whose `y` is NaN are
 /// no neighbours.
 #[must_use]
-pub fn isolated_outliers(mut found: Vec<Outlier>, x: &[f64], y: &[f64]) -> Vec<Outlier> {
+pub fn retain_isolated_outliers(mut found: Vec<Outlier>, x: &[f64], y: &[f64]) -> Vec<Outlier> {
     let mut is_found = vec![false; y.len()];
     found.iter().for_each(|outlier| is_found[outlier.row] = true);
     let mut by_x: Vec<usize> = (0..y.len()).filter(|row| !y[*row].is_nan()).collect();
@@ -39,7 +39,7 @@ mod tests {
         };
         let rows =
             |found: Vec<Outlier>| found.iter().map(|outlier| outlier.row).collect::<Vec<_>>();
-        assert_eq!(rows(isolated_outliers(found(&[2, 15, 16, 17, 18, 19]), &x, &y)), [2]);
-        assert_eq!(rows(isolated_outliers(found(&[4, 5, 11]), &x, &y)), [4, 5, 11]);
+        assert_eq!(rows(retain_isolated_outliers(found(&[2, 15, 16, 17, 18, 19]), &x, &y)), [2]);
+        assert_eq!(rows(retain_isolated_outliers(found(&[4, 5, 11]), &x, &y)), [4, 5, 11]);
     }
 }

@@ -1,6 +1,8 @@
 //! Rows that are off a linear relation which the others follow.
 
-use super::statistics::{Outlier, median, outlier_cutoff, robust_scale, smallest_difference};
+use super::statistics::{
+    Outlier, median, outlier_cutoff, robust_scale, smallest_nonzero_difference,
+};
 use crate::{least_squares::GivensQr, random::RandomGenerator};
 
 /// Small samples that are tried.
@@ -27,7 +29,7 @@ pub fn find_regression_outliers(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
     let at = |row: usize, coefficients: &[f64]| -> f64 {
         y[row] - x.iter().zip(coefficients).map(|(column, c)| c * column[row]).sum::<f64>()
     };
-    let floor = smallest_difference(rows.iter().map(|&row| y[row]));
+    let floor = smallest_nonzero_difference(rows.iter().map(|&row| y[row]));
     let few = 1.0 + 5.0 / (rows.len() - columns) as f64;
     let mut coefficients = start;
     let mut spread = 0.0;

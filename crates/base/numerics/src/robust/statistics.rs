@@ -35,7 +35,7 @@ pub(crate) fn outlier_cutoff(rows: usize, fitted: usize) -> f64 {
 }
 
 /// Returns the smallest difference of two of `values` that differ by more than rounding; 0 if none do.
-pub(super) fn smallest_difference(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn smallest_nonzero_difference(values: impl Iterator<Item = f64>) -> f64 {
     let mut rising: Vec<f64> = values.collect();
     rising.sort_unstable_by(f64::total_cmp);
     let least = rising.last().map_or(0.0, |last| last.abs().max(1.0) * 1e-12);

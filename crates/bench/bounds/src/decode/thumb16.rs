@@ -58,7 +58,7 @@ fn branch_target(one: &Instruction, offset: u32) -> u32 {
 }
 
 /// Within an IT block these set no flags.
-fn set_flags_outside_it_block(one: Instruction, flags: FlagEffect) -> Instruction {
+fn with_flags_outside_it_block(one: Instruction, flags: FlagEffect) -> Instruction {
     if one.condition.is_some() { one } else { Instruction { flags, ..one } }
 }
 
@@ -69,22 +69,22 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
     let small = u32::from(third);
     let shift = (half >> 6 & 31) as i8;
     match half >> 9 {
-        0b1100 => set_flags_outside_it_block(
+        0b1100 => with_flags_outside_it_block(
             one.with_written_registers([low])
                 .with_register_effect(RegisterEffect::Sum(low, high, third)),
             FlagEffect::Sum(high, Operand::Register(third)),
         ),
-        0b1101 => set_flags_outside_it_block(
+        0b1101 => with_flags_outside_it_block(
             one.with_written_registers([low])
                 .with_register_effect(RegisterEffect::Difference(low, high, third)),
             FlagEffect::Compare(high, Operand::Register(third)),
         ),
-        0b1110 => set_flags_outside_it_block(
+        0b1110 => with_flags_outside_it_block(
             one.with_written_registers([low])
                 .with_register_effect(RegisterEffect::Add(low, high, small)),
             FlagEffect::Sum(high, Operand::Immediate(small)),
         ),
-        0b1111 => set_flags_outside_it_block(
+        0b1111 => with_flags_outside_it_block(
             one.with_written_registers([low]).with_register_effect(RegisterEffect::Add(
                 low,
                 high,
@@ -93,7 +93,7 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
             FlagEffect::Compare(high, Operand::Immediate(small)),
         ),
         _ => match half >> 11 {
-            0 if shift == 0 => set_flags_outside_it_block(
+            0 if shift == 0 => with_flags_outside_it_block(
                 one.with_written_registers([low])
                     .with_register_effect(RegisterEffect::Copy(low, high)),
                 FlagEffect::Result(low),
@@ -102,18 +102,18 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
                 let one = one
                     .with_written_registers([low])
                     .with_register_effect(RegisterEffect::Shift(low, high, shift));
-                set_flags_outside_it_block(one, FlagEffect::Result(low))
+                with_flags_outside_it_block(one, FlagEffect::Result(low))
             }
             1 if shift != 0 => {
                 let one = one
                     .with_written_registers([low])
                     .with_register_effect(RegisterEffect::Shift(low, high, -shift));
-                set_flags_outside_it_block(one, FlagEffect::Result(low))
+                with_flags_outside_it_block(one, FlagEffect::Result(low))
             }
             1 | 2 => {
-                set_flags_outside_it_block(one.with_written_registers([low]), FlagEffect::Other)
+                with_flags_outside_it_block(one.with_written_registers([low]), FlagEffect::Other)
             }
-            4 => set_flags_outside_it_block(
+            4 => with_flags_outside_it_block(
                 one.with_written_registers([long_to])
                     .with_register_effect(RegisterEffect::Set(long_to, byte)),
                 FlagEffect::Result(long_to),
@@ -122,13 +122,13 @@ fn decode_arithmetic(one: Instruction, half: u32) -> Instruction {
             5 => {
                 Instruction { flags: FlagEffect::Compare(long_to, Operand::Immediate(byte)), ..one }
             }
-            6 => set_flags_outside_it_block(
+            6 => with_flags_outside_it_block(
                 one.with_written_registers([long_to])
                     .with_register_effect(RegisterEffect::Add(long_to, long_to, byte)),
                 FlagEffect::Sum(long_to, Operand::Immediate(byte)),
             ),
             _ => {
-                set_flags_outside_it_block(
+                with_flags_outside_it_block(
                     one.with_written_registers([long_to]).with_register_effect(
                         RegisterEffect::Add(long_to, long_to, byte.wrapping_neg()),
                     ),
@@ -146,12 +146,12 @@ fn decode_data_processing(one: Instruction, half: u32) -> Instruction {
         8 => Instruction { flags: FlagEffect::Other, ..one },
         11 => Instruction { flags: FlagEffect::Sum(to, Operand::Register(from)), ..one },
         10 => Instruction { flags: FlagEffect::Compare(to, Operand::Register(from)), ..one },
-        9 => set_flags_outside_it_block(
+        9 => with_flags_outside_it_block(
             one.with_written_registers([to])
                 .with_register_effect(RegisterEffect::ReverseSubtract(to, 0, from)),
             FlagEffect::Result(to),
         ),
-        _ => set_flags_outside_it_block(one.with_written_registers([to]), FlagEffect::Other),
+        _ => with_flags_outside_it_block(one.with_written_registers([to]), FlagEffect::Other),
     }
 }
 
@@ -281,6 +281,6 @@ fn decode_conditional_branch(one: Instruction, half: u32) -> Instruction {
 }
 
 /// A load of several words with the stack pointer as its base moves that one by a known amount.
-pub(super) fn adjust_stack_pointer(one: Instruction, base: u8, amount: u32) -> Instruction {
+pub(super) fn with_stack_pointer_effect(one: Instruction, base: u8, amount: u32) -> Instruction {
     if base == SP { one.with_register_effect(RegisterEffect::Add(SP, SP, amount)) } else { one }
 }

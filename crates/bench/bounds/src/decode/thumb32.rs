@@ -38,7 +38,7 @@ fn decode_load_store_multiple(one: Instruction, first: u32, second: u32) -> Inst
         one.with_store(count, AddressingMode::ImmediateOffset(base, 0))
     };
     let one = if writes_back {
-        thumb16::adjust_stack_pointer(one.with_written_registers([base]), base, amount)
+        thumb16::with_stack_pointer_effect(one.with_written_registers([base]), base, amount)
     } else {
         one
     };

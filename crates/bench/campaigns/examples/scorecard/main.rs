@@ -36,7 +36,10 @@ use std::{env, fs, path::PathBuf, process::ExitCode, thread};
 use compare::DrawScores;
 use score_card::ScoreCard;
 use trueup_campaigns::{
-    hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
+    hidden_effects::{
+        DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw_test_case,
+        draw_test_case_with_cause_pair,
+    },
     score::hidden_effect::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
 
@@ -157,7 +160,7 @@ fn main() -> ExitCode {
     };
     let drawn = |cause: HiddenCause, ratio: f64, count: u64| {
         score_seeds(asked.first..asked.first + count, &|seed| {
-            let challenge = draw(cause, ratio, seed);
+            let challenge = draw_test_case(cause, ratio, seed);
             score_diagnosis(&challenge, &run_diagnosis(&challenge))
         })
     };
@@ -172,8 +175,8 @@ fn main() -> ExitCode {
             let both = format!("{}+{}", a.name(), b.name());
             if is_selected(&both) {
                 let row = score_seeds(asked.first..asked.first + seeds, &|seed| {
-                    let challenge =
-                        draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
+                    let challenge = draw_test_case_with_cause_pair(a, b, ratio, seed)
+                        .expect("the twin's own pairs can be drawn");
                     score_diagnosis(&challenge, &run_diagnosis(&challenge))
                 });
                 done(ratio, both, row);

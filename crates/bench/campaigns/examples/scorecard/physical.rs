@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, ops::Range, process::ExitCode};
 
 use trueup_campaigns::{
     faulty_machine::MultiFaultMachine,
-    score::physical_faults::{PhysicalScore, diagnose_and_score},
+    score::physical_faults::{PhysicalFaultScore, diagnose_and_score},
 };
 
 use crate::{
@@ -36,7 +36,7 @@ struct DrawCounts {
 }
 
 impl DrawCounts {
-    fn add(&mut self, judged: &PhysicalScore) {
+    fn add(&mut self, judged: &PhysicalFaultScore) {
         let is_named = judged.comparison.missed.is_empty();
         self.draws += 1;
         self.named += usize::from(is_named);

@@ -7,7 +7,8 @@ use std::{fs, path::Path, process::Command, process::ExitCode};
 use serde_json::Value;
 use trueup_campaigns::{
     hidden_effects::{
-        DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+        DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw_test_case,
+        draw_test_case_with_cause_pair,
     },
     score::hidden_effect::{AnswerFinding, DiagnosisAnswer},
 };
@@ -79,11 +80,12 @@ pub fn run(words: &[String]) -> ExitCode {
             .iter()
             .filter(|cause| cause.expected_diagnosis() != ExpectedDiagnosis::Clean)
         {
-            of_cell(ratio, cause.name(), &|seed| draw(cause, ratio, seed));
+            of_cell(ratio, cause.name(), &|seed| draw_test_case(cause, ratio, seed));
         }
         for &(a, b) in DISTINGUISHABLE_PAIRS {
             of_cell(ratio, &format!("{}+{}", a.name(), b.name()), &|seed| {
-                draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn")
+                draw_test_case_with_cause_pair(a, b, ratio, seed)
+                    .expect("the twin's own pairs can be drawn")
             });
         }
     }

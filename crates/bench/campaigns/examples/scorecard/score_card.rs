@@ -132,8 +132,8 @@ fn format_table_row(row: &ScoreRow, name: &str) -> String {
     format!(
         "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} | {} |\n",
         row.scores.len(),
-        100.0 * row.right_share(),
-        100.0 * row.wrong_share(),
+        100.0 * row.correct_fraction(),
+        100.0 * row.false_claim_fraction(),
         number(median),
         number(worst),
         row.count_degraded_hold_outs()

@@ -9,8 +9,8 @@ use std::{ops::Range, path::Path, process::ExitCode};
 use trueup_campaigns::{
     hidden_effects::TestCase,
     known_term::{
-        draw_test_case_with_changed_term, draw_test_case_with_known_term,
-        known_and_new_cause_pairs, known_causes,
+        compensated_causes, draw_test_case_with_changed_term, draw_test_case_with_known_term,
+        known_and_new_cause_pairs,
     },
     score::hidden_effect::{HiddenEffectScore, ScoreRow, run_diagnosis, score_diagnosis},
 };
@@ -144,7 +144,7 @@ pub fn run(words: &[String]) -> ExitCode {
     }
     sum.print("a cause in the file, another one new");
     let mut aged = RowCounts::default();
-    for cause in known_causes() {
+    for cause in compensated_causes() {
         let name = format!("{} aged", cause.name());
         if is_selected(cause.name(), &name) {
             let drawn = |seed| draw_test_case_with_changed_term(cause, EFFECT_TO_NOISE_RATIO, seed);

@@ -367,7 +367,7 @@ fn apply_first_order_lag(time_s: &[f64], x: &[f64], lag_s: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run_table::parse_run;
+    use crate::run_file::parse_run;
 
     /// Returns a load next to a temperature that is correlated with it, or is not.
     fn gap(is_separable: bool, noise_um: f64) -> f64 {

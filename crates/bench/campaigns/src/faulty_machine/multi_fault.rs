@@ -40,8 +40,9 @@ impl MultiFaultMachine {
             let fault = left.swap_remove(stream.uniform_integer(0, left.len() - 1));
             let target =
                 stream.log_uniform(FAULT_TO_NOISE_RATIO_RANGE[0], FAULT_TO_NOISE_RATIO_RANGE[1]);
-            let Ok::<_, Infallible>(drawn) =
-                find_fault_at_noise_ratio(target, |size| Ok(case.fault_at_size(fault, size)));
+            let Ok::<_, Infallible>(drawn) = find_fault_at_noise_ratio(target, |size| {
+                Ok(case.simulate_fault_at_size(fault, size))
+            });
             case.faults.extend(drawn);
         }
         case
@@ -58,18 +59,19 @@ impl MultiFaultMachine {
 
     fn new_without_faults(kind: MachineKind, seed: u64) -> Self {
         let mut case = Self { plant: Plant::draw(kind, seed), faults: Vec::new(), noise_um: 0.0 };
-        case.noise_um = rms(&case.residuals_um(&case.plant.machine, &case.record_day(0), true));
+        case.noise_um =
+            rms(&case.compute_residuals_um(&case.plant.machine, &case.record_day(0), true));
         case
     }
 
-    fn fault_at_size(&self, fault: PhysicalFault, size: f64) -> SampledFault {
+    fn simulate_fault_at_size(&self, fault: PhysicalFault, size: f64) -> SampledFault {
         let seed = self.plant.day_seed(0);
         let with =
             simulate(&self.plant.scenario_for_day(0, &[(fault, size)]), seed, || {}).to_csv();
         let without =
             simulate(&self.plant.scenario_without_fault(0, fault, size), seed, || {}).to_csv();
         let [with, without] =
-            [with, without].map(|csv| self.residuals_um(&self.plant.machine, &csv, true));
+            [with, without].map(|csv| self.compute_residuals_um(&self.plant.machine, &csv, true));
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
         SampledFault { fault, size, ratio: rms(&um) / self.noise_um, um }
     }
@@ -95,7 +97,7 @@ impl MultiFaultMachine {
 
     /// Computes measured minus predicted by the file `machine`, row by row, in µm; the zero of an axis's gauge
     /// is set anew each day and does not count. `all`: with the terms that only explain.
-    pub(crate) fn residuals_um(&self, machine: &str, csv: &str, all: bool) -> Vec<f64> {
+    pub(crate) fn compute_residuals_um(&self, machine: &str, csv: &str, all: bool) -> Vec<f64> {
         let machine = MachineFile::parse(machine, Path::new("machine.toml"))
             .unwrap_or_else(|bad| panic!("{bad}\n{machine}"));
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");

@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     physical_faults::{MachineKind, PhysicalFault, Plant},
-    run_table::{parse_run, with_columns, without_readings},
+    run_file::{parse_run, with_columns, without_readings},
 };
 
 /// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
@@ -59,7 +59,7 @@ impl SeparableFaultMachine {
             let count = stream.uniform_integer(1, 3);
             let kinds: Vec<MachineKind> = MachineKind::SAMPLED_KINDS
                 .into_iter()
-                .filter(|kind| machine_faults(*kind).len() >= count)
+                .filter(|kind| possible_machine_faults(*kind).len() >= count)
                 .collect();
             (stream.choose(&kinds), count)
         };
@@ -91,9 +91,10 @@ impl SeparableFaultMachine {
             let plant =
                 Plant::draw(kind, seed.wrapping_mul(MAX_DRAWS_PER_SEED).wrapping_add(attempt));
             let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
-            hidden.noise_um = hidden
-                .rms_of_read_rows(&hidden.residuals_um(&hidden.plant.scenario_for_day(0, &[]), 0)?);
-            let mut choice = machine_faults(kind);
+            hidden.noise_um = hidden.rms_of_read_rows(
+                &hidden.simulate_residuals_um(&hidden.plant.scenario_for_day(0, &[]), 0)?,
+            );
+            let mut choice = possible_machine_faults(kind);
             for number in 0..count {
                 if choice.is_empty() {
                     break;
@@ -110,8 +111,9 @@ impl SeparableFaultMachine {
                 });
                 let target = stream
                     .log_uniform(FAULT_TO_NOISE_RATIO_RANGE[0], FAULT_TO_NOISE_RATIO_RANGE[1]);
-                let drawn =
-                    find_fault_at_noise_ratio(target, |size| hidden.fault_at_size(fault, size))?;
+                let drawn = find_fault_at_noise_ratio(target, |size| {
+                    hidden.simulate_fault_at_size(fault, size)
+                })?;
                 hidden.faults.extend(drawn);
             }
             if hidden.faults.len() == count {
@@ -147,7 +149,7 @@ impl SeparableFaultMachine {
         }
         let run = self.simulate_monitor_record(&scenario, day)?;
         let is_read = self.gauge_read_mask(&scenario, day);
-        let run = without_readings(&run, &self.measured_column(), |row| !is_read[row])?;
+        let run = without_readings(&run, &self.measured_column_name(), |row| !is_read[row])?;
         // What lies between two measurements is of the next one.
         let Some(runs) = run.column("run") else { return Ok(run) };
         let mut runs = runs.to_vec();
@@ -161,10 +163,10 @@ impl SeparableFaultMachine {
     ///
     /// # Errors
     /// There is no gauge.
-    pub fn with_zeroed_gauge(&self, run: &RunFile) -> Result<RunFile> {
+    pub fn run_with_zeroed_readings(&self, run: &RunFile) -> Result<RunFile> {
         let nothing =
-            run.require_column(&self.measured_column())?.iter().map(|um| 0.0 * um).collect();
-        with_columns(run, &[(self.measured_column(), nothing)])
+            run.require_column(&self.measured_column_name())?.iter().map(|um| 0.0 * um).collect();
+        with_columns(run, &[(self.measured_column_name(), nothing)])
     }
 
     /// Returns the rows of a day, the gauge read in all of them.
@@ -188,7 +190,7 @@ impl SeparableFaultMachine {
         let Scenario { segment, repeat, start_mm, .. } = scenario;
         let legs =
             build_legs(segment, *repeat, *start_mm, MONITOR_INTERVAL_S, self.plant.day_seed(day));
-        let is_axis = self.is_axis();
+        let is_axis = self.is_axis_measured();
         let mut at_mm = *start_mm;
         let mut is_read = Vec::new();
         for leg in legs {
@@ -201,7 +203,7 @@ impl SeparableFaultMachine {
         is_read
     }
 
-    fn is_axis(&self) -> bool {
+    fn is_axis_measured(&self) -> bool {
         self.plant.quantity != "elongation"
     }
 
@@ -216,20 +218,22 @@ impl SeparableFaultMachine {
             .collect::<Vec<f64>>())
     }
 
-    fn fault_at_size(&self, fault: PhysicalFault, size: f64) -> Result<SampledFault> {
-        let with = self.residuals_um(&self.plant.scenario_for_day(0, &[(fault, size)]), 0)?;
-        let without = self.residuals_um(&self.plant.scenario_without_fault(0, fault, size), 0)?;
+    fn simulate_fault_at_size(&self, fault: PhysicalFault, size: f64) -> Result<SampledFault> {
+        let with =
+            self.simulate_residuals_um(&self.plant.scenario_for_day(0, &[(fault, size)]), 0)?;
+        let without =
+            self.simulate_residuals_um(&self.plant.scenario_without_fault(0, fault, size), 0)?;
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
         Ok(SampledFault { fault, size, ratio: self.rms_of_read_rows(&um) / self.noise_um, um })
     }
 
     /// Measured minus predicted by the file in every row, in µm; the zero of an axis's gauge does not count.
-    fn residuals_um(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
+    fn simulate_residuals_um(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
         let run = self.simulate_monitor_record(scenario, day)?;
         let predicted = self.predict_um(&run)?;
-        let measured = run.require_column(&self.measured_column())?;
+        let measured = run.require_column(&self.measured_column_name())?;
         let mut left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
-        if self.is_axis() {
+        if self.is_axis_measured() {
             let is_read = self.gauge_read_mask(scenario, day);
             let read = || left.iter().zip(&is_read).filter(|(_, read)| **read).map(|(um, _)| um);
             let mean = read().sum::<f64>() / read().count() as f64;
@@ -240,7 +244,7 @@ impl SeparableFaultMachine {
 
     /// Returns the column of the gauge.
     #[must_use]
-    pub fn measured_column(&self) -> String {
+    pub fn measured_column_name(&self) -> String {
         format!("measured_{}_um", self.plant.quantity)
     }
 
@@ -248,7 +252,7 @@ impl SeparableFaultMachine {
     fn predict_um(&self, run: &RunFile) -> Result<Vec<f64>> {
         let machine = MachineFile::parse(&self.plant.machine, Path::new("machine.toml"))?;
         let predictor = RunPredictor::new(&machine, run)?;
-        let place = usize::from(self.is_axis());
+        let place = usize::from(self.is_axis_measured());
         Ok(predictor.predictions().map(|row| row.model.to_array()[place]).collect())
     }
 
@@ -258,7 +262,7 @@ impl SeparableFaultMachine {
         let record = PredictedRecord {
             predicted_um: self.predict_um(&run)?,
             is_read: &self.gauge_read_mask(&self.plant.scenario_for_day(0, &self.fault_sizes()), 0),
-            is_axis: self.is_axis(),
+            is_axis: self.is_axis_measured(),
             run: &run,
         };
         let signatures: Vec<(PhysicalFault, &[f64])> =
@@ -268,7 +272,7 @@ impl SeparableFaultMachine {
 }
 
 /// Returns the faults of the machine itself: the gauge is none of its parts.
-fn machine_faults(kind: MachineKind) -> Vec<PhysicalFault> {
+fn possible_machine_faults(kind: MachineKind) -> Vec<PhysicalFault> {
     kind.possible_faults()
         .iter()
         .copied()

@@ -230,7 +230,7 @@ impl AxisBench {
             bench.pitch = Some(PitchTable {
                 start_mm,
                 step_mm: length_mm / (points - 1) as f64,
-                forward_um: detrended_random_walk(points, 1.5, stream)
+                forward_um: draw_detrended_random_walk(points, 1.5, stream)
                     .iter()
                     .map(|um| round_to_tenth(*um))
                     .collect(),
@@ -279,7 +279,7 @@ impl AxisBench {
     }
 
     /// Returns the machine file that is right but for the hidden effect.
-    pub(super) fn machine_file(&self) -> String {
+    pub(super) fn machine_file_toml(&self) -> String {
         let name = AXES[self.error];
         let mut text = "[machine]\nname = \"challenge\"\nkind = \"3-axis\"\n".to_string();
         let mut add = |section: &str, keys: String| {
@@ -366,7 +366,7 @@ fn draw_thermal_law(
 }
 
 /// `points` values of a random walk without its mean and its slope.
-pub(super) fn detrended_random_walk(
+pub(super) fn draw_detrended_random_walk(
     points: usize,
     step: f64,
     stream: &mut RandomStream,

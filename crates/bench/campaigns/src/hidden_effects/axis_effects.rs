@@ -1,7 +1,7 @@
 //! The effect of each cause on the error of an axis.
 
 use super::{
-    axis_bench::{AxisBench, detrended_random_walk},
+    axis_bench::{AxisBench, draw_detrended_random_walk},
     cause::HiddenCause,
     effect_shape::{
         EffectShape, NamedParameters, PredictedRun, fixed_parameter_effect, linear_effect, map_runs,
@@ -15,7 +15,7 @@ use super::{
 use trueup_twin::{axes::AXIS_NAMES as AXES, noise::RandomStream};
 
 /// Returns the shape of `cause` on `bench`; `None` where it is only noise.
-pub(super) fn draw_shape(
+pub(super) fn draw_effect_shape(
     cause: HiddenCause,
     bench: &AxisBench,
     stream: &mut RandomStream,
@@ -93,8 +93,8 @@ fn evaluate_law_along_axis(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> 
 /// Returns an uneven scale or screw, with a table for each direction; `None` where the path has no even targets.
 fn draw_pitch_error(bench: &AxisBench, stream: &mut RandomStream) -> Option<EffectShape> {
     let (start_mm, step_mm, count) = bench.grid?;
-    let forward = detrended_random_walk(count, 1.0, stream);
-    let own = detrended_random_walk(count, 0.6, stream);
+    let forward = draw_detrended_random_walk(count, 1.0, stream);
+    let own = draw_detrended_random_walk(count, 0.6, stream);
     let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
     let um = evaluate_law_along_axis(bench, &|mm, d| {
         interpolate_uniform_table(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)

@@ -46,7 +46,7 @@ macro_rules! causes {
 
             /// Returns the columns on which an effect without a name depends.
             #[must_use]
-            pub fn unnamed_inputs(self) -> &'static [&'static str] {
+            pub fn unnamed_effect_inputs(self) -> &'static [&'static str] {
                 match self {
                     Self::PreloadChange | Self::CriticalSpeed => &["spindle_rpm"],
                     _ => &[],

@@ -20,7 +20,7 @@ fn map_predictions(runs: &[PredictedRun], law: impl Fn(f64) -> f64) -> Vec<Vec<f
 }
 
 /// Returns the shape of `cause` on `bench`; `None` where it is only noise.
-pub(super) fn draw_shape(
+pub(super) fn draw_effect_shape(
     cause: HiddenCause,
     bench: &SpindleBench,
     stream: &mut RandomStream,

@@ -1,6 +1,6 @@
 //! Challenges: a believed machine that is right but for one hidden effect, and the answer.
 //!
-//! [`draw`] makes runs (CSV), a machine file (TOML) and, apart from them, the [`GroundTruth`]. Speeds,
+//! [`draw_test_case`] makes runs (CSV), a machine file (TOML) and, apart from them, the [`GroundTruth`]. Speeds,
 //! loads, heat, paths, the size and the sign of the effect all come from the seed. For each row
 //!
 //! ```text
@@ -125,7 +125,7 @@ impl GroundTruth {
     /// Returns the largest reduction that a diagnosis can reach on the hold-out run: 1 − RMS(noise) over
     /// RMS(effect + noise).
     #[must_use]
-    pub fn max_achievable_reduction(&self) -> f64 {
+    pub fn max_holdout_rms_reduction(&self) -> f64 {
         let (mut noise, mut all) = (0.0, 0.0);
         for (effect, left) in self.holdout_effect_um.iter().zip(&self.holdout_noise_um) {
             if !left.is_nan() {
@@ -140,7 +140,7 @@ impl GroundTruth {
 /// Returns a challenge with `cause` in it, `ratio` times as large as the noise (RMS). Where `cause` is only
 /// noise, `ratio` counts for nothing. Above 0; 0.5 is hard, 5 is plain.
 #[must_use]
-pub fn draw(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
+pub fn draw_test_case(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     let mut stream = RandomStream::new(seed, cause.name());
     let base = stream.choose(cause.base_models());
     test_case::build_test_case(base, &[cause], ratio, seed, stream)
@@ -149,7 +149,7 @@ pub fn draw(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
 /// Returns a challenge with two causes in it, each `ratio` times as large as the noise. `None` if there is
 /// no machine on which both can be distinguished.
 #[must_use]
-pub fn draw_pair(
+pub fn draw_test_case_with_cause_pair(
     first: HiddenCause,
     second: HiddenCause,
     ratio: f64,

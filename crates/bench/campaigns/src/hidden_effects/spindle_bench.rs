@@ -7,7 +7,7 @@ use super::{
     model_equations::{WarmupLaw, apply_first_order_lag},
 };
 use trueup_twin::{
-    ambient::{Ambient, AmbientConfig},
+    ambient::{AmbientAir, AmbientConfig},
     noise::RandomStream,
     run_table::RunTable,
     spindle::{OperatingConditions, SimulatedSpindle, SpindleConfig},
@@ -117,7 +117,7 @@ impl SpindleBench {
     }
 
     /// Returns the machine file that is right but for the hidden effect.
-    pub(super) fn machine_file(&self) -> String {
+    pub(super) fn machine_file_toml(&self) -> String {
         let head = "[machine]\nname = \"challenge\"\nkind = \"3-axis\"\n\n[spindle]\n";
         match &self.source {
             ElongationSource::Sensor { k0_um, zero_counts, um_per_count } => format!(
@@ -218,7 +218,7 @@ fn draw_duty_cycle(
 
 /// A temperature that nothing but itself drives: it is drawn to `mean_c`, or to a warm level while
 /// something is switched on.
-struct ThermalNode {
+struct SwitchedLagProcess {
     temperature_c: f64,
     mean_c: f64,
     warm_c: f64,
@@ -226,7 +226,7 @@ struct ThermalNode {
     lag_s: f64,
 }
 
-impl ThermalNode {
+impl SwitchedLagProcess {
     fn step(&mut self, dt_s: f64, surroundings_c: f64, stream: &mut RandomStream) -> f64 {
         // Switched every one and a half time constants on the average.
         if stream.bernoulli(1.0 - (-dt_s / (1.5 * self.lag_s)).exp()) {
@@ -258,9 +258,9 @@ fn simulate_spindle_run(
         wander_c: stream.uniform(0.1, 0.5),
         wander_s: 2400.0,
     };
-    let mut ambient = Ambient::new(&air, stream.clone());
+    let mut ambient = AmbientAir::new(&air, stream.clone());
     let mut spindle = SimulatedSpindle::new(config, ambient.temperature_c());
-    let mut node = |mean_c: f64, warm_c: f64, lag_s: [f64; 2]| ThermalNode {
+    let mut node = |mean_c: f64, warm_c: f64, lag_s: [f64; 2]| SwitchedLagProcess {
         temperature_c: mean_c,
         mean_c,
         warm_c,

@@ -30,18 +30,18 @@ pub(super) fn build_test_case(
             let bench = SpindleBench::draw(source_kind, causes, &mut stream);
             let shapes: Vec<EffectShape> = causes
                 .iter()
-                .filter_map(|&cause| growth_effects::draw_shape(cause, &bench, &mut stream))
+                .filter_map(|&cause| growth_effects::draw_effect_shape(cause, &bench, &mut stream))
                 .collect();
-            ("elongation", bench.machine_file(), bench.runs, shapes)
+            ("elongation", bench.machine_file_toml(), bench.runs, shapes)
         }
         BaseModel::AxisThermal | BaseModel::AxisGeometry => {
             let is_thermal = base == BaseModel::AxisThermal;
             let bench = AxisBench::draw(is_thermal, causes, &mut stream);
             let shapes: Vec<EffectShape> = causes
                 .iter()
-                .filter_map(|&cause| axis_effects::draw_shape(cause, &bench, &mut stream))
+                .filter_map(|&cause| axis_effects::draw_effect_shape(cause, &bench, &mut stream))
                 .collect();
-            (bench.quantity, bench.machine_file(), bench.runs, shapes)
+            (bench.quantity, bench.machine_file_toml(), bench.runs, shapes)
         }
     };
     let has_true_zero = quantity == "elongation";

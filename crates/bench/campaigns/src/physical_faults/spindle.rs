@@ -69,7 +69,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
                  sensor = \"temp_housing_c\"\nreference_c = {CONTROLLED_ROOM_TEMPERATURE_C:?}\nk_um_per_c = {um_per_c:?}\n"
             )
         } else {
-            warmup_machine_file(head, &spindle, um_per_c)
+            warmup_machine_file_toml(head, &spindle, um_per_c)
         }
     };
     let scenario = Scenario {
@@ -85,7 +85,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
 
 /// Returns the file of one who has recorded a start from cold: a housing of one node follows its bearings' heat
 /// with one time constant, and the heat of viscous bearings is proportional to the speed to the power 5/3.
-fn warmup_machine_file(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> String {
+fn warmup_machine_file_toml(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> String {
     /// This many time constants until it counts as warm: what is missing then is below 10⁻⁵.
     const TIME_CONSTANTS_UNTIL_WARM: f64 = 12.0;
     let w_per_k = spindle.housing_air_w_per_k + spindle.housing_coolant_w_per_k;

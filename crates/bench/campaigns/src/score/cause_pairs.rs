@@ -5,7 +5,7 @@
 
 use super::hidden_effect::{HiddenEffectScore, run_diagnosis, score_diagnosis};
 use crate::{
-    hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_pair},
+    hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_test_case_with_cause_pair},
     orthogonal_component::orthogonal_component_rms,
 };
 
@@ -94,7 +94,8 @@ impl CausePair {
     #[must_use]
     pub fn diagnose_and_score(self, seed: u64) -> Option<PairScore> {
         let Self(a, b) = self;
-        let challenge = draw_pair(a, b, EFFECT_TO_NOISE_RATIO, seed).expect("a record holds both");
+        let challenge = draw_test_case_with_cause_pair(a, b, EFFECT_TO_NOISE_RATIO, seed)
+            .expect("a record holds both");
         if !self.is_distinguishable(&challenge) {
             return None;
         }

@@ -10,7 +10,7 @@ use crate::hidden_effects::{ExpectedDiagnosis, GroundTruth, HiddenCause, TestCas
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]
-pub struct ParameterInterval {
+pub struct ParameterEstimate {
     /// The cause and the parameter.
     pub name: String,
     /// The hidden value.
@@ -21,7 +21,7 @@ pub struct ParameterInterval {
     pub ci95: [f64; 2],
 }
 
-impl ParameterInterval {
+impl ParameterEstimate {
     /// Returns whether what was hidden is inside, each end `times` as far from what was found.
     #[must_use]
     pub fn contains_true_value(&self, times: f64) -> bool {
@@ -50,7 +50,7 @@ pub struct HiddenEffectScore {
     /// Why causes are not claimed, with their values.
     pub doubts: Vec<String>,
     /// The interval of each hidden parameter of a cause that is a finding.
-    pub intervals: Vec<ParameterInterval>,
+    pub intervals: Vec<ParameterEstimate>,
     /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained, or not every
     /// cause is claimed.
     pub share_of_gain: f64,
@@ -150,7 +150,7 @@ impl DiagnosisAnswer {
         let inputs: Vec<&str> = truth
             .effects
             .iter()
-            .flat_map(|effect| effect.cause.unnamed_inputs())
+            .flat_map(|effect| effect.cause.unnamed_effect_inputs())
             .copied()
             .collect();
         let is_input = |column: &String| inputs.contains(&column.as_str());
@@ -273,13 +273,13 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> HiddenEff
                 && high > low
             {
                 let name = format!("{} {name}", finding.cause);
-                intervals.push(ParameterInterval { name, hidden, found, ci95: [low, high] });
+                intervals.push(ParameterEstimate { name, hidden, found, ci95: [low, high] });
             }
         }
     }
     // What cannot be distinguished here may differ there.
     let is_claimed = answers.iter().all(|name| named.iter().any(|there| there == name));
-    let possible = truth.max_achievable_reduction();
+    let possible = truth.max_holdout_rms_reduction();
     let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;
     let share_of_gain = match truth.expected {
         ExpectedDiagnosis::Compensated if possible > 0.0 && is_claimed => reduction / possible,
@@ -310,21 +310,21 @@ pub struct ScoreRow {
 }
 
 impl ScoreRow {
-    fn share_where(&self, of: impl Fn(&HiddenEffectScore) -> bool) -> f64 {
+    fn fraction_where(&self, of: impl Fn(&HiddenEffectScore) -> bool) -> f64 {
         self.scores.iter().filter(|score| of(score)).count() as f64
             / self.scores.len().max(1) as f64
     }
 
     /// Returns the share of right answers.
     #[must_use]
-    pub fn right_share(&self) -> f64 {
-        self.share_where(|score| score.is_right)
+    pub fn correct_fraction(&self) -> f64 {
+        self.fraction_where(|score| score.is_right)
     }
 
     /// Returns the share of answers that claim a cause that was not hidden.
     #[must_use]
-    pub fn wrong_share(&self) -> f64 {
-        self.share_where(|score| score.is_wrong)
+    pub fn false_claim_fraction(&self) -> f64 {
+        self.fraction_where(|score| score.is_wrong)
     }
 
     /// Counts the draws whose hold-out is left worse.
@@ -378,8 +378,8 @@ impl ScoreRow {
             "{name:<48} n {:>3} right {:>4.0} % wrong {:>4.0} % in {:>4.0} % of {count:<3} gain \
              {median:.3} worst {worst:.3} harm {}  {}",
             self.scores.len(),
-            100.0 * self.right_share(),
-            100.0 * self.wrong_share(),
+            100.0 * self.correct_fraction(),
+            100.0 * self.false_claim_fraction(),
             100.0 * within,
             self.count_degraded_hold_outs(),
             confused.join("; ")

@@ -29,7 +29,7 @@ fn answer_key(machine: &MultiFaultMachine) -> AnswerKey {
 /// # Panics
 /// The files of a drawn machine can be read and compared.
 #[must_use]
-pub fn diagnose_and_score(machine: &MultiFaultMachine) -> PhysicalScore {
+pub fn diagnose_and_score(machine: &MultiFaultMachine) -> PhysicalFaultScore {
     let path = Path::new("machine.toml");
     let file =
         MachineFile::parse(&machine.plant.machine, path).expect("the twin writes machine files");
@@ -41,7 +41,7 @@ pub fn diagnose_and_score(machine: &MultiFaultMachine) -> PhysicalScore {
         diagnosis.render_extended_toml(&machine.plant.machine, path).expect("a machine file");
     let second = machine.record_day(1);
     let faults = machine.faults.iter().enumerate();
-    PhysicalScore {
+    PhysicalFaultScore {
         kind: machine.plant.kind,
         faults: faults
             .map(|(of, drawn)| {
@@ -49,13 +49,13 @@ pub fn diagnose_and_score(machine: &MultiFaultMachine) -> PhysicalScore {
             })
             .collect(),
         comparison: answer_key(machine).compare(&diagnosis.report),
-        before_um: rms(&machine.residuals_um(&machine.plant.machine, &second, false)),
-        after_um: rms(&machine.residuals_um(&extended, &second, false)),
+        before_um: rms(&machine.compute_residuals_um(&machine.plant.machine, &second, false)),
+        after_um: rms(&machine.compute_residuals_um(&extended, &second, false)),
     }
 }
 
 /// The score of an answer to a machine with physical faults.
-pub struct PhysicalScore {
+pub struct PhysicalFaultScore {
     /// The kind of machine.
     pub kind: MachineKind,
     /// Each with its RMS over that of the noise, whole and without what others could do as well.
@@ -68,7 +68,7 @@ pub struct PhysicalScore {
     pub after_um: f64,
 }
 
-impl PhysicalScore {
+impl PhysicalFaultScore {
     /// Returns whether each fault does as much as the noise that no mixture of the others could do: where two
     /// move the tool in the same way, this record cannot distinguish them.
     #[must_use]
@@ -83,7 +83,7 @@ impl PhysicalScore {
     }
 }
 
-impl fmt::Display for PhysicalScore {
+impl fmt::Display for PhysicalFaultScore {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let faults = self
             .faults

@@ -97,7 +97,7 @@ pub(crate) fn normalise_path(path: &Path) -> PathBuf {
 }
 
 /// Returns the documents whose links are looked after.
-pub(crate) fn checked_documents(root: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn list_documents_to_check(root: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for folder in ["", "data", "docs", "docs/book/src", "integrations", "crates"] {
         collect_markdown_files(

@@ -73,7 +73,7 @@ fn write_sbom(product: &Product, source: &Path, folder: &Path) -> Result<()> {
     command.args(["cyclonedx", "--quiet", "--format", "json", "--spec-version", "1.5"]);
     command.args(["--target", target, "--override-filename", name]).args(*features);
     command.arg("--manifest-path").arg(source.join(package).join("Cargo.toml"));
-    command.env("SOURCE_DATE_EPOCH", reproducible_build::commit_time()?.to_string());
+    command.env("SOURCE_DATE_EPOCH", reproducible_build::commit_unix_seconds()?.to_string());
     process::run(command.current_dir(source.join(package)))?;
     let made = source.join(package).join(name).with_extension("json");
     let text = fs::read_to_string(&made).with_context(|| made.display().to_string())?;

@@ -76,7 +76,7 @@ pub fn create_release(key: Option<&Path>) -> Result<Release> {
     let mut held_out = describe_unavailable_platforms();
     held_out.extend(compliance_documents::write_documents(&again, &folder)?);
     fs::remove_dir_all(&again)?;
-    let files = file_names(&folder)?;
+    let files = list_file_names(&folder)?;
     let sums =
         process::capture_stdout(Command::new("sha256sum").args(&files).current_dir(&folder))?;
     fs::write(folder.join("SHA256SUMS"), sums)?;
@@ -88,7 +88,7 @@ pub fn create_release(key: Option<&Path>) -> Result<Release> {
                 .into(),
         ),
     }
-    Ok(Release { files: file_names(&folder)?, folder, skipped: held_out })
+    Ok(Release { files: list_file_names(&folder)?, folder, skipped: held_out })
 }
 
 fn read_private_key(path: &Path) -> Result<PrivateKey> {
@@ -98,7 +98,7 @@ fn read_private_key(path: &Path) -> Result<PrivateKey> {
 
 /// Signs every file of a folder, and leaves the public key there.
 fn sign_files(key: &PrivateKey, folder: &Path) -> Result<()> {
-    for name in file_names(folder)? {
+    for name in list_file_names(folder)? {
         let signature = key.sign(&fs::read(folder.join(&name))?);
         fs::write(folder.join(name + ".sig"), signature)?;
     }
@@ -110,7 +110,7 @@ fn release_folder() -> PathBuf {
     setup::project_root().join("target/release-files")
 }
 
-fn file_names(folder: &Path) -> Result<Vec<String>> {
+fn list_file_names(folder: &Path) -> Result<Vec<String>> {
     let mut files: Vec<String> = fs::read_dir(folder)?
         .flatten()
         .map(|entry| entry.file_name().to_string_lossy().into_owned())
@@ -150,7 +150,7 @@ pub fn build_release_files() -> Result<()> {
             .is_none()
         })
         .collect();
-    built.iter().try_for_each(|platform| package_for_platform(platform, &root, &folder))?;
+    built.iter().try_for_each(|platform| build_platform_archive(platform, &root, &folder))?;
     let mut packages = vec![debian_package::build_host_package()?];
     for Platform { target, .. } in
         built.iter().filter(|platform| !platform.is_windows && !is_host_target(platform.target))
@@ -204,7 +204,7 @@ fn is_host_target(target: &str) -> bool {
 }
 
 /// Builds the tool for a platform and packs it.
-fn package_for_platform(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
+fn build_platform_archive(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
     let mut build = cargo::locked_cargo_command("build");
     build.args(["--release", "--package", "trueup-cli"]);
@@ -243,7 +243,7 @@ fn package_for_platform(platform: &Platform, root: &Path, folder: &Path) -> Resu
 
 /// Packs a folder so that the same files give the same bytes: no order, time, owner or mode of this computer.
 fn create_archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
-    let at = format!("@{}", reproducible_build::commit_time()?);
+    let at = format!("@{}", reproducible_build::commit_unix_seconds()?);
     if is_windows {
         let mut touch = Command::new("find");
         touch.args([name, "-exec", "touch", "--date", &at, "{}", "+"]).current_dir(folder);

@@ -34,7 +34,7 @@ pub(super) fn build_release_twice(key: Option<(&Path, &PrivateKey)>) -> Result<P
         "--untracked-files=no",
     ]))?;
     ensure!(changed.is_empty(), "a release is of a commit; these are in none:\n{changed}");
-    let time = commit_time()?;
+    let time = commit_unix_seconds()?;
     build_release_in_folder(&root, time, &keys)?;
     let again = root.join("target/release-again/in-another-folder");
     if again.is_dir() {
@@ -55,7 +55,7 @@ pub(super) fn build_release_twice(key: Option<(&Path, &PrivateKey)>) -> Result<P
 }
 
 /// Returns the time of the commit, in seconds of Unix.
-pub(super) fn commit_time() -> Result<u64> {
+pub(super) fn commit_unix_seconds() -> Result<u64> {
     let stdout = process::capture_stdout(git_command(&setup::project_root()).args([
         "log",
         "-1",
@@ -98,8 +98,8 @@ fn build_release_in_folder(root: &Path, commit_time: u64, keys: &[(&str, PathBuf
 
 /// Returns the names of files that only one folder has, or that differ.
 fn find_differing_files(one: &Path, other: &Path) -> Result<Vec<String>> {
-    let mut names = super::file_names(one)?;
-    names.extend(super::file_names(other)?);
+    let mut names = super::list_file_names(one)?;
+    names.extend(super::list_file_names(other)?);
     names.sort();
     names.dedup();
     let read = |folder: &Path, name: &str| fs::read(folder.join(name)).ok();

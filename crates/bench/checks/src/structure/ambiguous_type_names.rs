@@ -13,7 +13,7 @@ const TYPE_KEYWORDS: [&str; 5] = ["struct", "enum", "union", "trait", "type"];
 /// those with the most first.
 pub(super) fn find_ambiguous_names(sources: &[SourceFile]) -> Vec<String> {
     let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for source in sources.iter().filter(|source| !source.is_test()) {
+    for source in sources.iter().filter(|source| !source.is_test_or_example()) {
         for declared in find_declared_names_in_file(source) {
             // The associated types of a trait have the trait's meaning.
             let is_associated = declared.kind == "type" && declared.is_indented;

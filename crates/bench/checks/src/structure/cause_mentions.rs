@@ -58,7 +58,7 @@ fn find_cause_mentions(sources: &[SourceFile], cause: &str) -> Vec<String> {
     ];
     let list = [format!("{CAUSE_FOLDER}mod.rs"), format!("{CAUSE_FOLDER}list.rs")];
     let counts = |source: &&SourceFile| {
-        !source.is_test()
+        !source.is_test_or_example()
             && !source.path.starts_with("crates/tool/twin/")
             && !source.path.starts_with("crates/bench/campaigns/")
             // The names above.

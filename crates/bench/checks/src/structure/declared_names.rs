@@ -27,7 +27,7 @@ pub struct DeclaredName {
 fn collect_declared_names(sources: &[SourceFile]) -> Vec<DeclaredName> {
     sources
         .iter()
-        .filter(|source| !source.is_test())
+        .filter(|source| !source.is_test_or_example())
         .flat_map(find_declared_names_in_file)
         .collect()
 }

@@ -36,14 +36,14 @@ pub(super) struct CrateModules<'s> {
 
 /// Returns all circles of all crates, in the order of their first files.
 pub(crate) fn find_cycles(sources: &[SourceFile]) -> Vec<DependencyCycle> {
-    crate_modules(sources).values().flat_map(CrateModules::find_cycles).collect()
+    group_modules_by_crate(sources).values().flat_map(CrateModules::find_cycles).collect()
 }
 
 /// Returns the modules of each crate by its folder; files of tests are excluded.
-pub(super) fn crate_modules(sources: &[SourceFile]) -> BTreeMap<&str, CrateModules<'_>> {
+pub(super) fn group_modules_by_crate(sources: &[SourceFile]) -> BTreeMap<&str, CrateModules<'_>> {
     let mut crates: BTreeMap<&str, BTreeMap<Vec<String>, &SourceFile>> = BTreeMap::new();
-    for source in sources.iter().filter(|source| !source.is_test()) {
-        if let Some((package, module)) = module_path(&source.path) {
+    for source in sources.iter().filter(|source| !source.is_test_or_example()) {
+        if let Some((package, module)) = crate_and_module_path(&source.path) {
             crates.entry(package).or_default().insert(module, source);
         }
     }
@@ -51,7 +51,7 @@ pub(super) fn crate_modules(sources: &[SourceFile]) -> BTreeMap<&str, CrateModul
 }
 
 /// Returns the folder of a file's crate, and its module path there.
-fn module_path(path: &str) -> Option<(&str, Vec<String>)> {
+fn crate_and_module_path(path: &str) -> Option<(&str, Vec<String>)> {
     let (package, file) = match path.strip_prefix("src/") {
         Some(file) => ("", file),
         None => path.split_once("/src/")?,

@@ -24,7 +24,7 @@ const FORBIDDEN_DEPENDENCIES: &[(&str, &str, &[&str])] = &[
         &[
             SCORE_SOURCE_FOLDER,
             "crates/bench/campaigns/src/faulty_machine/",
-            "crates/bench/campaigns/src/run_table.rs",
+            "crates/bench/campaigns/src/run_file.rs",
         ],
     ),
 ];

@@ -11,7 +11,7 @@ const IGNORE_ATTRIBUTE: &str = "#[ignore";
 /// with `campaign_`.
 pub(crate) fn find_untiered_tests(sources: &[SourceFile]) -> Vec<String> {
     let found = sources.iter().flat_map(|source| {
-        ignored_tests(&source.text)
+        find_ignored_tests(&source.text)
             .filter(|(reason, name)| match reason.split_once(": ") {
                 Some(("long", _)) => name.starts_with("campaign_"),
                 Some(("campaign", _)) => !name.starts_with("campaign_"),
@@ -23,7 +23,7 @@ pub(crate) fn find_untiered_tests(sources: &[SourceFile]) -> Vec<String> {
 }
 
 /// Returns reason and name of each ignored test.
-fn ignored_tests(text: &str) -> impl Iterator<Item = (&str, &str)> {
+fn find_ignored_tests(text: &str) -> impl Iterator<Item = (&str, &str)> {
     let attributes = text.match_indices(IGNORE_ATTRIBUTE).filter(|(at, _)| {
         text[..*at].chars().rev().take_while(|c| *c != '\n').all(char::is_whitespace)
     });

@@ -160,8 +160,8 @@ pub(crate) fn analyse_language(root: &Path, sources: &[SourceFile]) -> Result<La
             .extend(find_headerless_table_rows(&text).iter().map(|line| format!("{name}:{line}")));
         found.nowhere.extend(find_forbidden_references(&name, &text));
         found.phrases.extend(find_replaced_phrases(&name, &strip_code(&text)));
-        found.missing_files.extend(find_missing_files(&name, &text, sources));
-        found.add_text(&name, &strip_code(&text));
+        found.missing_files.extend(find_missing_file_references(&name, &text, sources));
+        found.count_words(&name, &strip_code(&text));
     }
     for source in sources {
         // The lists above.
@@ -172,9 +172,9 @@ pub(crate) fn analyse_language(root: &Path, sources: &[SourceFile]) -> Result<La
         let comments = extract_comments(&source.text);
         found.phrases.extend(find_replaced_phrases(&source.path, &strip_code(&comments)));
         found.phrases.extend(find_replaced_message_phrases(source));
-        found.missing_files.extend(find_missing_files(&source.path, &comments, sources));
-        found.add_text(&source.path, &strip_code(&doc_comments(&source.text)));
-        if !source.is_test() {
+        found.missing_files.extend(find_missing_file_references(&source.path, &comments, sources));
+        found.count_words(&source.path, &strip_code(&extract_doc_comments(&source.text)));
+        if !source.is_test_or_example() {
             for first in first_doc_words_of_functions(&source.text) {
                 found.functions[0] += 1;
                 found.functions[1] += usize::from(is_verb(&first));
@@ -186,7 +186,7 @@ pub(crate) fn analyse_language(root: &Path, sources: &[SourceFile]) -> Result<La
 }
 
 impl LanguageReport {
-    fn add_text(&mut self, name: &str, text: &str) {
+    fn count_words(&mut self, name: &str, text: &str) {
         self.words += text.split_whitespace().count();
         let lower = text.to_lowercase();
         let mut all = 0;
@@ -221,7 +221,7 @@ fn collect_pages(folder: &Path, pages: &mut Vec<std::path::PathBuf>) -> Result<(
 }
 
 /// Returns the doc comments of a file, a paragraph for each item.
-fn doc_comments(text: &str) -> String {
+fn extract_doc_comments(text: &str) -> String {
     let mut all = String::new();
     for line in text.lines().map(str::trim_start) {
         match line.strip_prefix("///").or_else(|| line.strip_prefix("//!")) {
@@ -350,7 +350,7 @@ fn find_replaced_phrases(name: &str, text: &str) -> Vec<String> {
 /// Returns where a text in quotes has a phrase with a term of the trade. What is compiled for tests does not count, nor
 /// do names in quotes (`"told"`, `"/plc/heard"`), which others read, and names in braces.
 fn find_replaced_message_phrases(source: &SourceFile) -> Vec<String> {
-    if source.is_test() {
+    if source.is_test_or_example() {
         return Vec::new();
     }
     let mut found = Vec::new();
@@ -376,7 +376,7 @@ fn find_replaced_message_phrases(source: &SourceFile) -> Vec<String> {
 }
 
 /// Returns where a source file is named in backticks that no path of the project ends with.
-fn find_missing_files(name: &str, text: &str, sources: &[SourceFile]) -> Vec<String> {
+fn find_missing_file_references(name: &str, text: &str, sources: &[SourceFile]) -> Vec<String> {
     let mut found = Vec::new();
     for (index, line) in text.lines().enumerate() {
         for quoted in line.split('`').skip(1).step_by(2).filter(|part| part.ends_with(".rs")) {
@@ -426,7 +426,7 @@ mod tests {
         let comments =
             extract_comments("fn x() {} // no\n    /// See `b.rs`, `src/a.rs` and `a.rs`.\n");
         let sources = [SourceFile::new("crates/x/src/a.rs", "")];
-        assert_eq!(find_missing_files("y.rs", &comments, &sources), ["y.rs:2: b.rs"]);
+        assert_eq!(find_missing_file_references("y.rs", &comments, &sources), ["y.rs:2: b.rs"]);
     }
 
     #[test]

@@ -111,7 +111,7 @@ struct CountReport {
 
 impl CountReport {
     /// Writes the heading of a count.
-    fn write_count(&mut self, what: &str, count: usize, limit: usize) -> Result<()> {
+    fn add_count(&mut self, what: &str, count: usize, limit: usize) -> Result<()> {
         writeln!(self.text, "{what}: {count} (at most {limit})")?;
         if count > limit {
             self.over.push(what.to_owned());
@@ -120,8 +120,8 @@ impl CountReport {
     }
 
     /// Writes a count with the places that it counts.
-    fn write_places(&mut self, what: &str, places: &[String], limit: usize) -> Result<()> {
-        self.write_count(what, places.len(), limit)?;
+    fn add_count_with_places(&mut self, what: &str, places: &[String], limit: usize) -> Result<()> {
+        self.add_count(what, places.len(), limit)?;
         for place in places {
             writeln!(self.text, "    {place}")?;
         }
@@ -145,7 +145,7 @@ pub fn check_structure(root: &Path) -> Result<String> {
     let (cause, places) = cause_mentions::find_most_mentioned_cause(&sources);
 
     let mut report = CountReport::default();
-    report.write_count("circles of files", circles.len(), COUNT_LIMITS.circles)?;
+    report.add_count("circles of files", circles.len(), COUNT_LIMITS.circles)?;
     for circle in &circles {
         writeln!(report.text, "    {}", circle.files.join(", "))?;
         for (from, to, line) in &circle.uses {
@@ -153,7 +153,7 @@ pub fn check_structure(root: &Path) -> Result<String> {
         }
     }
     write_module_cycles(&mut report, &sources)?;
-    report.write_count(
+    report.add_count(
         &format!("files above {MAX_FILE_LINES} lines"),
         long.len(),
         COUNT_LIMITS.long_files,
@@ -163,7 +163,7 @@ pub fn check_structure(root: &Path) -> Result<String> {
     }
     let long = long_functions::find_long_functions(&sources);
     let what = format!("functions above {} lines", long_functions::MAX_FUNCTION_LINES);
-    report.write_count(&what, long.len(), COUNT_LIMITS.long_functions)?;
+    report.add_count(&what, long.len(), COUNT_LIMITS.long_functions)?;
     for it in &long {
         writeln!(report.text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
     }
@@ -196,23 +196,23 @@ pub fn check_structure(root: &Path) -> Result<String> {
         ),
         (what.as_str(), public.unused, COUNT_LIMITS.public),
     ] {
-        report.write_places(what, &found, limit)?;
+        report.add_count_with_places(what, &found, limit)?;
     }
     let ambiguous = ambiguous_type_names::find_ambiguous_names(&sources);
     let what = "names of types with more than two definitions outside tests";
-    report.write_count(what, ambiguous.len(), COUNT_LIMITS.ambiguous)?;
+    report.add_count(what, ambiguous.len(), COUNT_LIMITS.ambiguous)?;
     for name in ambiguous.iter().take(MAX_LISTED_ENTRIES) {
         writeln!(report.text, "    {name}")?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
-    report.write_places(&what, &places, COUNT_LIMITS.places)?;
+    report.add_count_with_places(&what, &places, COUNT_LIMITS.places)?;
     let thresholds = thresholds::count_thresholds(
         &sources,
         &fs::read_to_string(root.join("docs/thresholds.md"))?,
     );
     let what =
         format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
-    report.write_count(&what, thresholds.decide.len(), COUNT_LIMITS.thresholds)?;
+    report.add_count(&what, thresholds.decide.len(), COUNT_LIMITS.thresholds)?;
     let language = language::analyse_language(root, &sources)?;
     for (what, found, limit) in [
         ("references that lead nowhere", &language.nowhere, COUNT_LIMITS.nowhere),
@@ -221,7 +221,7 @@ pub fn check_structure(root: &Path) -> Result<String> {
         ("tables without a head", &language.cut_tables, COUNT_LIMITS.cut_tables),
         ("thresholds of the finder that are elsewhere", &thresholds.stale, COUNT_LIMITS.stale),
     ] {
-        report.write_places(what, found, limit)?;
+        report.add_count_with_places(what, found, limit)?;
     }
     let CountReport { mut text, mut over } = report;
     write_line_counts_by_crate(&mut text, &sources)?;
@@ -263,7 +263,7 @@ fn write_line_counts_by_crate(text: &mut String, sources: &[SourceFile]) -> Resu
 fn write_module_cycles(report: &mut CountReport, sources: &[SourceFile]) -> Result<()> {
     let crates = module_cycles::find_module_cycles(sources);
     let above = crates.iter().filter(|found| found.is_above_limit()).count();
-    report.write_count("crates with more modules in circles than they may have", above, 0)?;
+    report.add_count("crates with more modules in circles than they may have", above, 0)?;
     for line in crates.iter().flat_map(module_cycles::ModuleCycles::format_lines) {
         writeln!(report.text, "    {line}")?;
     }

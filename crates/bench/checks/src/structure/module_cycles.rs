@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
-    dependency_cycles::{CrateModules, crate_modules},
+    dependency_cycles::{CrateModules, group_modules_by_crate},
     source_file::SourceFile,
 };
 
@@ -28,10 +28,10 @@ pub(super) struct ModuleCycles {
 impl ModuleCycles {
     /// Returns whether more modules are in circles than the crate may have.
     pub(super) fn is_above_limit(&self) -> bool {
-        self.modules.len() > self.max_modules()
+        self.modules.len() > self.max_modules_in_cycles()
     }
 
-    fn max_modules(&self) -> usize {
+    fn max_modules_in_cycles(&self) -> usize {
         let allowed =
             MAX_MODULES_IN_CYCLES_BY_CRATE.iter().find(|(package, _)| *package == self.package);
         allowed.map_or(0, |(_, limit)| *limit)
@@ -40,7 +40,7 @@ impl ModuleCycles {
     /// Returns `crate: modules`, and below it each use if the crate is above its limit.
     pub(super) fn format_lines(&self) -> Vec<String> {
         let modules: Vec<&str> = self.modules.iter().map(String::as_str).collect();
-        let (count, limit) = (modules.len(), self.max_modules());
+        let (count, limit) = (modules.len(), self.max_modules_in_cycles());
         let mut lines =
             vec![format!("{}: {count} (at most {limit}): {}", self.package, modules.join(", "))];
         if self.is_above_limit() {
@@ -52,7 +52,7 @@ impl ModuleCycles {
 
 /// Returns the crates that have modules in circles.
 pub(super) fn find_module_cycles(sources: &[SourceFile]) -> Vec<ModuleCycles> {
-    let crates = crate_modules(sources).into_iter();
+    let crates = group_modules_by_crate(sources).into_iter();
     crates.filter_map(|(package, modules)| find_cycles_in_crate(package, &modules)).collect()
 }
 
@@ -69,7 +69,7 @@ fn find_cycles_in_crate(package: &str, files: &CrateModules<'_>) -> Option<Modul
         }
     }
     let reached: BTreeMap<&str, BTreeSet<&str>> =
-        needs.keys().map(|&module| (module, reachable_modules(module, &needs))).collect();
+        needs.keys().map(|&module| (module, transitive_dependencies(module, &needs))).collect();
     let need_each_other = |from: &str, to: &str| {
         reached.get(from).is_some_and(|reached| reached.contains(to))
             && reached.get(to).is_some_and(|reached| reached.contains(from))
@@ -97,7 +97,7 @@ fn find_cycles_in_crate(package: &str, files: &CrateModules<'_>) -> Option<Modul
 }
 
 /// Returns all modules that one needs, directly or through others.
-fn reachable_modules<'m>(
+fn transitive_dependencies<'m>(
     from: &'m str,
     needs: &BTreeMap<&'m str, BTreeSet<&'m str>>,
 ) -> BTreeSet<&'m str> {

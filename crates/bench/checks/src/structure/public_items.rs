@@ -133,10 +133,10 @@ pub(crate) fn find_unused_items(sources: &[SourceFile], packages: &[Package]) ->
         used.extend(library.iter().flat_map(|file| collect_macro_declared_names(file)));
         let items = library
             .iter()
-            .filter(|file| !file.is_test())
+            .filter(|file| !file.is_test_or_example())
             .flat_map(|file| public_items(file))
             .collect();
-        count_unused(items, used, &mut found);
+        add_unused_items(items, used, &mut found);
     }
     found.unused.sort();
     found
@@ -315,7 +315,11 @@ fn extract_signature(kind: &str, rest: &str) -> String {
     }
 }
 
-fn count_unused(items: Vec<PublicItem>, mut used: BTreeSet<String>, found: &mut PublicItemReport) {
+fn add_unused_items(
+    items: Vec<PublicItem>,
+    mut used: BTreeSet<String>,
+    found: &mut PublicItemReport,
+) {
     let types: BTreeSet<&String> =
         items.iter().filter(|item| item.is_type).map(|item| &item.name).collect();
     loop {

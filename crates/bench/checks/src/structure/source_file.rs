@@ -36,11 +36,11 @@ impl SourceFile {
     /// Returns how many lines are code: those of tests and examples, comments and blank ones do not count.
     pub(crate) fn code_line_count(&self) -> usize {
         let is_code = |line: &&str| !line.trim().is_empty();
-        if self.is_test() { 0 } else { self.words.lines().filter(is_code).count() }
+        if self.is_test_or_example() { 0 } else { self.words.lines().filter(is_code).count() }
     }
 
     /// Returns whether all of it is there for tests or examples.
-    pub fn is_test(&self) -> bool {
+    pub(crate) fn is_test_or_example(&self) -> bool {
         let mut parts = self.path.split('/');
         parts.any(|part| matches!(part, "tests" | "tests.rs" | "examples" | "host-tests"))
     }
@@ -139,13 +139,13 @@ fn blank_out_comments(text: &str) -> (Vec<u8>, Vec<u8>) {
                 end
             }
             b'/' if bytes[at..].starts_with(b"/*") => {
-                let end = end_of_block_comment(bytes, at);
+                let end = find_block_comment_end(bytes, at);
                 overwrite_with_spaces(&mut words[at..end]);
                 end
             }
             b'"' => find_string_end(bytes, at),
             b'r' if is_raw_string_start(bytes, at) => find_raw_string_end(bytes, at),
-            b'\'' => end_of_char_literal(bytes, at),
+            b'\'' => find_char_literal_end(bytes, at),
             _ => {
                 at += 1;
                 continue;
@@ -157,7 +157,7 @@ fn blank_out_comments(text: &str) -> (Vec<u8>, Vec<u8>) {
     (words, code)
 }
 
-fn end_of_block_comment(bytes: &[u8], from: usize) -> usize {
+fn find_block_comment_end(bytes: &[u8], from: usize) -> usize {
     let (mut depth, mut at) = (0usize, from);
     while at < bytes.len() {
         if bytes[at..].starts_with(b"/*") {
@@ -198,7 +198,7 @@ fn find_raw_string_end(bytes: &[u8], from: usize) -> usize {
 }
 
 /// Returns a character in single quotes; a lifetime ends behind its quote.
-fn end_of_char_literal(bytes: &[u8], from: usize) -> usize {
+fn find_char_literal_end(bytes: &[u8], from: usize) -> usize {
     let rest = &bytes[from + 1..];
     let length = match rest.first() {
         Some(b'\\') => rest.iter().skip(2).position(|&byte| byte == b'\'').map(|at| at + 2),

@@ -24,8 +24,9 @@ pub(crate) struct ThresholdReport {
 
 /// Counts the named numbers of `sources` that the `table` names, and the others.
 pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> ThresholdReport {
-    let is_finder =
-        |file: &&SourceFile| file.path.starts_with(DIAGNOSE_SOURCE_FOLDER) && !file.is_test();
+    let is_finder = |file: &&SourceFile| {
+        file.path.starts_with(DIAGNOSE_SOURCE_FOLDER) && !file.is_test_or_example()
+    };
     let finder: Vec<&SourceFile> = sources.iter().filter(is_finder).collect();
     let mut found = ThresholdReport { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
     let mut file = String::new();

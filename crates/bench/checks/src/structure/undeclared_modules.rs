@@ -10,7 +10,7 @@ use super::source_file::{SourceFile, is_identifier_byte};
 /// Returns the paths of the source files that no plain `mod` line declares.
 pub(crate) fn find_undeclared_files(sources: &[SourceFile]) -> Vec<&str> {
     let paths: BTreeSet<&str> = sources.iter().map(|source| source.path.as_str()).collect();
-    let declared = |source: &SourceFile| declared_module_paths(&source.path, &source.text);
+    let declared = |source: &SourceFile| candidate_module_paths(&source.path, &source.text);
     let seen: BTreeSet<String> = sources.iter().flat_map(declared).collect();
     paths.into_iter().filter(|path| !is_crate_root(path) && !seen.contains(*path)).collect()
 }
@@ -18,14 +18,14 @@ pub(crate) fn find_undeclared_files(sources: &[SourceFile]) -> Vec<&str> {
 /// Returns the paths of the files that are compiled for tests alone: `#[cfg(test)] mod name;` declares them.
 pub(crate) fn find_test_only_files(sources: &[SourceFile]) -> BTreeSet<String> {
     let of_tests = |source: &SourceFile| {
-        &declared_module_paths(&source.path, &source.text)
-            - &declared_module_paths(&source.path, &source.words)
+        &candidate_module_paths(&source.path, &source.text)
+            - &candidate_module_paths(&source.path, &source.words)
     };
     sources.iter().flat_map(of_tests).collect()
 }
 
 /// Returns the paths at which the modules may be that the `text` of a file declares.
-fn declared_module_paths(path: &str, text: &str) -> BTreeSet<String> {
+fn candidate_module_paths(path: &str, text: &str) -> BTreeSet<String> {
     let mut files = BTreeSet::new();
     for (name, attribute) in parse_module_declarations(text) {
         let below = match attribute {

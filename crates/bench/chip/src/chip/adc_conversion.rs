@@ -196,7 +196,7 @@ impl Chip {
     pub(crate) fn end_adc_conversion(&mut self, n: usize) {
         self.adc.unit[n].end_at = NEVER;
         let Conversion { channel, bits, .. } = self.adc.unit[n].next_conversion();
-        let code = self.world.adc_code(channel, self.now) >> (12 - bits);
+        let code = self.world.sample_adc_code(channel, self.now) >> (12 - bits);
         let adc = &mut self.adc.unit[n];
         let code = if adc.cr2 & CR2_ALIGN != 0 { code << (16 - bits) } else { code };
         if adc.injected {

@@ -55,7 +55,7 @@ fn next_random_word(seed: &mut u32) -> u32 {
 
 impl Chip {
     /// Returns whether writes reach the backup domain. The unit whose write is lost is named.
-    pub(crate) fn is_backup_writable(&mut self, what: &str) -> bool {
+    pub(crate) fn check_backup_writable(&mut self, what: &str) -> bool {
         let open = self.pwr_cr & PWR_CR_DBP != 0;
         if !open {
             self.report_violation(format!("{what}: written without PWR_CR.DBP (5.4.1)"));
@@ -88,7 +88,7 @@ impl Chip {
     }
 
     pub(crate) fn write_bdcr(&mut self, v: u32) {
-        if !self.is_backup_writable("RCC_BDCR") {
+        if !self.check_backup_writable("RCC_BDCR") {
             return;
         }
         self.update_rtc_calendar();
@@ -139,7 +139,7 @@ impl Chip {
 
     pub(crate) fn write_pwr_csr(&mut self, v: u32) {
         let on = self.backup.regulator_at != NEVER;
-        if (v & PWR_CSR_BRE != 0) == on || !self.is_backup_writable("PWR_CSR.BRE") {
+        if (v & PWR_CSR_BRE != 0) == on || !self.check_backup_writable("PWR_CSR.BRE") {
             return;
         }
         self.backup.regulator_at =
@@ -151,7 +151,7 @@ impl Chip {
     }
 
     pub(crate) fn write_backup_sram(&mut self, address: u32, v: u32) {
-        if self.is_backup_writable("backup SRAM") {
+        if self.check_backup_writable("backup SRAM") {
             self.backup.sram[address as usize / 4 % BACKUP_SRAM_WORDS] = v;
         }
     }

@@ -5,7 +5,7 @@ mod registers;
 use super::{
     Chip,
     backup_domain::registers::{
-        PWR_CR_CLEAR_BITS, PWR_CR_OFFSET, PWR_CR_WRITE_MASK, PWR_CSR_OFFSET,
+        PWR_CR_CLEAR_MASK, PWR_CR_OFFSET, PWR_CR_WRITE_MASK, PWR_CSR_OFFSET,
     },
     gpio::registers::BSRR_OFFSET,
     iwdg::registers as iwdg,
@@ -228,7 +228,7 @@ impl Chip {
                     self.pwr_cr = self.apply_write_mask(
                         "PWR_CR",
                         self.pwr_cr,
-                        v & !PWR_CR_CLEAR_BITS,
+                        v & !PWR_CR_CLEAR_MASK,
                         PWR_CR_WRITE_MASK,
                     );
                     self.check_voltage_scale();

@@ -12,7 +12,7 @@ use registers::*;
 use std::collections::VecDeque;
 
 #[derive(Clone, Copy, Default, Debug)]
-pub(crate) struct Mailbox {
+pub(crate) struct TxMailbox {
     pub(crate) tir: u32,
     pub(crate) tdtr: u32,
     pub(crate) tdlr: u32,
@@ -23,7 +23,7 @@ pub(crate) struct Mailbox {
     pub(crate) flags: u32,
 }
 
-impl Mailbox {
+impl TxMailbox {
     pub(crate) fn frame(&self) -> CanFrame {
         let ext = self.tir & IR_IDE != 0;
         let mut data = [0; 8];
@@ -52,7 +52,7 @@ pub struct Can {
     pub(crate) inak: bool,
     pub(crate) slak: bool,
     pub(crate) erri: bool,
-    pub(crate) mb: [Mailbox; 3],
+    pub(crate) mb: [TxMailbox; 3],
     pub(crate) last_code: u32,
     pub(crate) fifo: [VecDeque<(CanFrame, u32)>; 2],
     pub(crate) full: [bool; 2],
@@ -122,7 +122,7 @@ impl Can {
     pub(crate) fn read_tsr(&self) -> u32 {
         let mut v = 0;
         for (i, m) in self.mb.iter().enumerate() {
-            v |= m.flags << (TSR_MAILBOX_BITS * i);
+            v |= m.flags << (TSR_MAILBOX_STRIDE_BITS * i);
             v |= u32::from(!m.pending) << (TSR_TME0_SHIFT + i);
         }
         let free = self.mb.iter().position(|m| !m.pending);
@@ -142,7 +142,7 @@ impl Can {
         !self.inak && !self.slak && !self.boff
     }
     /// Ticks of a bit in quanta.
-    pub(crate) fn bit_timing_quanta(&self) -> (u64, u64, u64) {
+    pub(crate) fn bit_timing_parameters(&self) -> (u64, u64, u64) {
         (
             u64::from(self.btr & BTR_BRP_MASK) + 1,
             u64::from(self.btr >> BTR_TS1_SHIFT & BTR_TS1_MASK) + 1,
@@ -156,7 +156,7 @@ impl Chip {
         let c = &self.can;
         want[19] = c.ier & IER_TMEIE != 0 && c.mb.iter().any(|m| m.flags & TSR_RQCP != 0);
         for f in 0..2 {
-            let e = c.ier >> (IER_FIFO_SHIFT + IER_FIFO_BITS * f);
+            let e = c.ier >> (IER_FIFO_SHIFT + IER_FIFO_STRIDE_BITS * f);
             want[20 + f] = (e & IER_FMPIE != 0 && !c.fifo[f].is_empty())
                 || (e & IER_FFIE != 0 && c.full[f])
                 || (e & IER_FOVIE != 0 && c.over[f]);
@@ -165,7 +165,7 @@ impl Chip {
     }
 
     pub(crate) fn can_bit_time_ticks(&self) -> u64 {
-        let (brp, t1, t2) = self.can.bit_timing_quanta();
+        let (brp, t1, t2) = self.can.bit_timing_parameters();
         self.pclk1 * brp * (1 + t1 + t2)
     }
 
@@ -308,7 +308,7 @@ impl Chip {
     /// Writes CAN_TSR: clears what is done and aborts what waits.
     fn write_can_tsr(&mut self, v: u32) {
         for i in 0..3 {
-            let f = v >> (TSR_MAILBOX_BITS * i);
+            let f = v >> (TSR_MAILBOX_STRIDE_BITS * i);
             if f & TSR_RQCP != 0 {
                 self.can.mb[i].flags = 0;
             }
@@ -329,7 +329,7 @@ impl Chip {
             return self.report_violation("CAN_BTR written outside initialisation".into());
         }
         self.can.btr = self.apply_write_mask("CAN_BTR", self.can.btr, v, BTR_WRITE_MASK);
-        let (brp, t1, t2) = self.can.bit_timing_quanta();
+        let (brp, t1, t2) = self.can.bit_timing_parameters();
         let hz = TICKS_PER_SECOND as f64 / self.can_bit_time_ticks() as f64;
         let sjw = (v >> BTR_SJW_SHIFT & BTR_SJW_MASK) + 1;
         self.record_finding(

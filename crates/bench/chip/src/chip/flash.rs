@@ -2,7 +2,7 @@
 
 pub(super) mod registers;
 
-use super::{Chip, FLAG_PROGRAMMING_CHANGED, script_playback::RANDOM_MULTIPLIER};
+use super::{Chip, FLAG_PROGRAMMING_CHANGED, script_playback::GOLDEN_RATIO_MULTIPLIER};
 use crate::{
     report::Severity,
     simulation_time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
@@ -48,7 +48,7 @@ pub struct FlashModel {
 }
 
 /// (start, length) of a sector.
-pub fn sector_range(n: u32) -> (u32, u32) {
+pub fn sector_start_and_length(n: u32) -> (u32, u32) {
     match n {
         0..=3 => (n * SMALL_SECTOR_BYTES, SMALL_SECTOR_BYTES),
         4 => (MIDDLE_SECTOR_BYTES, MIDDLE_SECTOR_BYTES),
@@ -198,7 +198,7 @@ impl Chip {
                     self.set_flash_busy(ms_to_ticks(250));
                 }
             }
-            SR_OFFSET => self.flash.sr &= !(v & SR_CLEARED_BY_ONE),
+            SR_OFFSET => self.flash.sr &= !(v & SR_WRITE_ONE_CLEAR_MASK),
             CR_OFFSET => {
                 if self.flash.busy_until > self.now {
                     let rule = "FLASH_CR written while busy: the bus stands still";
@@ -212,7 +212,7 @@ impl Chip {
                 self.shared.flag.fetch_or(FLAG_PROGRAMMING_CHANGED, Ordering::Relaxed);
                 if v & CR_STRT != 0 {
                     self.flash.cr &= !CR_STRT;
-                    self.erase_flash();
+                    self.start_flash_erase();
                 }
             }
             _ => self.report_violation(format!("FLASH: write at {off:#x}")),
@@ -226,7 +226,7 @@ impl Chip {
         self.shared.stall.store(self.flash.busy_until, Ordering::Relaxed);
     }
 
-    pub(crate) fn erase_flash(&mut self) {
+    pub(crate) fn start_flash_erase(&mut self) {
         let cr = self.flash.cr;
         if self.flash.sr & SR_ERROR_MASK != 0 {
             return self.report_violation(format!(
@@ -241,7 +241,7 @@ impl Chip {
                 if n > 11 {
                     return self.report_violation(format!("flash: sector {n} does not exist"));
                 }
-                let (at, len) = sector_range(n);
+                let (at, len) = sector_start_and_length(n);
                 if self.is_write_protected(at) {
                     self.flash.sr |= SR_WRPERR;
                     return self
@@ -282,8 +282,11 @@ impl Chip {
 
     /// RM0090 3.7.4: nWRP of its sector is 0.
     fn is_write_protected(&self, at: u32) -> bool {
-        let is_in =
-            |n: &u32| (sector_range(*n).0..sector_range(*n).0 + sector_range(*n).1).contains(&at);
+        let is_in = |n: &u32| {
+            (sector_start_and_length(*n).0
+                ..sector_start_and_length(*n).0 + sector_start_and_length(*n).1)
+                .contains(&at)
+        };
         (0..12).find(is_in).is_some_and(|n| self.flash.optcr >> (OPTCR_NWRP_SHIFT + n) & 1 == 0)
     }
 
@@ -366,7 +369,7 @@ impl Chip {
             let mut new = vec![0; old.len()];
             self.rom.read_at(u64::from(at), &mut new).expect("in the flash");
             for (i, (n, o)) in new.iter_mut().zip(&old).enumerate() {
-                let r = seed.wrapping_add(i as u64 / 4).wrapping_mul(RANDOM_MULTIPLIER)
+                let r = seed.wrapping_add(i as u64 / 4).wrapping_mul(GOLDEN_RATIO_MULTIPLIER)
                     >> (8 + 8 * (i % 4));
                 *n = (*n & r as u8) | (*o & !(r as u8));
             }

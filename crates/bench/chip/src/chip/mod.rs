@@ -156,7 +156,7 @@ pub struct Chip {
     pub crc: Crc,
     /// The ports A to I.
     pub gpio: [Gpio; 9],
-    /// The timers, as `Tim::all_timers` orders them.
+    /// The timers, as `Tim::timers_after_reset` orders them.
     pub tims: Vec<Tim>,
     /// TIM11, which measures the crystal.
     pub tim11: Tim11,
@@ -302,7 +302,7 @@ impl Chip {
         self.flash = FlashModel::after_reset(self.flash.stats);
         self.flash.optcr = options;
         self.crc = Crc::default();
-        self.tims = Tim::all_timers();
+        self.tims = Tim::timers_after_reset();
         self.tim11 = Tim11::default();
         self.adc =
             Adcs { unit: self.adc.unit.each_ref().map(Adc::to_reset_state), ..Adcs::default() };
@@ -423,7 +423,7 @@ impl Chip {
                 ChipEvent::CanMode => self.update_can_mode(),
                 ChipEvent::UartTx(n) => self.finish_uart_transmission(n),
                 ChipEvent::UartRx(n) => self.finish_uart_reception(n),
-                ChipEvent::UartIdle(n) => self.on_uart_idle(n),
+                ChipEvent::UartIdle(n) => self.handle_uart_idle(n),
                 ChipEvent::Spi => self.finish_spi_transfer(),
                 ChipEvent::Iwdg => {
                     self.iwdg.expire = NEVER;
@@ -454,7 +454,7 @@ impl Chip {
     }
 
     /// After anything has changed: the interrupt lines, and the time of the next event.
-    pub fn update_interrupt_lines(&mut self) {
+    pub fn update_lines_and_next_event(&mut self) {
         if !self.dirty {
             return;
         }

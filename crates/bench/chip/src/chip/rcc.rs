@@ -57,7 +57,7 @@ fn bus_index(off: u32, ahb1: u32, apb1: u32) -> usize {
 }
 
 impl Chip {
-    pub(crate) fn pll_hz(&mut self) -> u64 {
+    pub(crate) fn compute_pll_hz(&mut self) -> u64 {
         let r = self.rcc.pllcfgr;
         let input = if r & RCC_PLLCFGR_PLLSRC != 0 { self.world.crystal_hz } else { HSI_HZ };
         let (m, n, p, q) = (
@@ -83,11 +83,11 @@ impl Chip {
     }
 
     pub(crate) fn update_clocks(&mut self) {
-        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK;
         self.sys_hz = match sws {
             SYSTEM_CLOCK_HSI => HSI_HZ,
             SYSTEM_CLOCK_HSE => self.world.crystal_hz,
-            _ => self.pll_hz(),
+            _ => self.compute_pll_hz(),
         };
         let ahb = match self.rcc.cfgr >> RCC_CFGR_HPRE_SHIFT & RCC_CFGR_HPRE_MASK {
             n @ 8..=11 => 1 << (n - 7),
@@ -111,7 +111,7 @@ impl Chip {
             );
         }
         for t in &mut self.tims {
-            t.latch_count(self.now);
+            t.rebase_count(self.now);
         }
         self.hclk = sys * ahb;
         self.pclk1 = self.hclk * a1;
@@ -183,7 +183,7 @@ impl Chip {
             SYSTEM_CLOCK_PLL => self.rcc.cr & RCC_CR_PLLRDY,
             _ => 0,
         } != 0;
-        if ready && self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK != want {
+        if ready && self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK != want {
             self.rcc.cfgr = self.rcc.cfgr & !RCC_CFGR_SWS | want << RCC_CFGR_SWS_SHIFT;
             self.update_clocks();
         }
@@ -194,7 +194,7 @@ impl Chip {
         self.faults.hse_stops = 0;
         self.faults.hse_dead = true;
         self.rcc.cr &= !RCC_CR_HSERDY;
-        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK;
         let in_use = sws == SYSTEM_CLOCK_HSE
             || (sws == SYSTEM_CLOCK_PLL && self.rcc.pllcfgr & RCC_PLLCFGR_PLLSRC != 0);
         if self.rcc.cr & RCC_CR_CSSON != 0 {
@@ -332,9 +332,9 @@ impl Chip {
                 v & RCC_CFGR_SW_MASK
             ));
         }
-        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK;
         self.try_clock_switch();
-        if self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK == sws {
+        if self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK == sws {
             self.update_clocks();
         }
     }
@@ -348,7 +348,7 @@ impl Chip {
         self.rcc.cr = v;
         let on = |bit: u32| (!old & v) >> bit & 1 != 0;
         let off = |bit: u32| (old & !v) >> bit & 1 != 0;
-        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_MASK;
         if on(RCC_CR_HSEON_BIT) && !self.faults.hse_dead {
             self.rcc.hse_at = now + ms_to_ticks(2);
         }
@@ -407,7 +407,7 @@ impl Chip {
             SPI2_BASE => self.spi = Spi::after_reset(),
             TIM11_BASE => self.tim11 = Tim11::default(),
             _ => {
-                let fresh = Tim::all_timers();
+                let fresh = Tim::timers_after_reset();
                 for (i, f) in fresh.into_iter().enumerate() {
                     if f.base == base {
                         let tick = self.tims[i].tick;

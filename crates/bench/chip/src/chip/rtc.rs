@@ -166,7 +166,7 @@ impl Chip {
     }
 
     /// A flag that comes this many cycles of RTCCLK after `at`; without a clock it never does.
-    fn has_rtcclk_elapsed(&self, at: u64, cycles: u64) -> bool {
+    fn has_rtcclk_delay_elapsed(&self, at: u64, cycles: u64) -> bool {
         self.rtcclk_period_ticks()
             .is_some_and(|cycle| self.now >= at.saturating_add(cycles * cycle))
     }
@@ -176,7 +176,7 @@ impl Chip {
         let (time, date) = self.backup.rtc.calendar_after(seconds);
         // 26.3.2: two cycles until the shadows are the calendar's.
         let is_in_step =
-            self.has_rtcclk_elapsed(self.backup.rtc.shadow_at, 2) && !self.backup.rtc.init;
+            self.has_rtcclk_delay_elapsed(self.backup.rtc.shadow_at, 2) && !self.backup.rtc.init;
         let rtc = &mut self.backup.rtc;
         let shadows = rtc.control & CR_BYPSHAD == 0;
         match off {
@@ -203,7 +203,7 @@ impl Chip {
                 let inits =
                     u32::from(rtc.date >> DR_YEAR_SHIFT & DR_YEAR_MASK != 0) << ISR_INITS_SHIFT;
                 let at = rtc.init_at;
-                let in_init = init && self.has_rtcclk_elapsed(at, 2);
+                let in_init = init && self.has_rtcclk_delay_elapsed(at, 2);
                 let flag = |on: bool, bit: u32| if on { bit } else { 0 };
                 ISR_WRITE_FLAGS
                     | inits
@@ -232,7 +232,7 @@ impl Chip {
     }
 
     pub(crate) fn write_rtc_register(&mut self, off: u32, v: u32) {
-        if !self.is_backup_writable("RTC") {
+        if !self.check_backup_writable("RTC") {
             return;
         }
         self.update_rtc_calendar();
@@ -244,7 +244,8 @@ impl Chip {
                 "RTC: {off:#x} written while the keys are not (26.3.5)"
             ));
         }
-        let in_init = self.backup.rtc.init && self.has_rtcclk_elapsed(self.backup.rtc.init_at, 2);
+        let in_init =
+            self.backup.rtc.init && self.has_rtcclk_delay_elapsed(self.backup.rtc.init_at, 2);
         if matches!(off, TR_OFFSET | DR_OFFSET | PRER_OFFSET) && !in_init {
             return self.report_violation(format!(
                 "RTC: {off:#x} written outside initialisation (26.3.5)"

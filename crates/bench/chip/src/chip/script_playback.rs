@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// 2^64 divided by the golden ratio: its multiples spread over 64 bits.
-pub(crate) const RANDOM_MULTIPLIER: u64 = 0x9e37_79b9_7f4a_7c15;
+pub(crate) const GOLDEN_RATIO_MULTIPLIER: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// The bit of the checksum that a damaged command has wrong.
 const CRC_DAMAGE_MASK: u8 = 0x10;
@@ -43,7 +43,7 @@ impl Chip {
     pub(crate) fn simulate_power_loss(&mut self, seed: u64, seconds: u64) {
         self.apply_power_loss_to_backup_domain(seconds);
         for i in 0..SRAM_SIZE / 8 {
-            let r = seed.wrapping_add(i).wrapping_mul(RANDOM_MULTIPLIER);
+            let r = seed.wrapping_add(i).wrapping_mul(GOLDEN_RATIO_MULTIPLIER);
             self.sram.write_at(8 * i, &(r ^ r >> 29).to_le_bytes()).unwrap();
         }
         self.rcc.csr = 0;

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     report::Severity,
-    simulation_time::{NEVER, TICKS_PER_SECOND, ticks_to_nanos},
+    simulation_time::{NEVER, TICKS_PER_SECOND, ticks_to_ns},
 };
 use registers::*;
 
@@ -172,10 +172,10 @@ impl Chip {
         for n in chosen {
             // tCC: 400 ns from the select to the first edge.
             let since = now - self.world.rtds[n].selected_at;
-            if ticks_to_nanos(since) < 400 {
+            if ticks_to_ns(since) < 400 {
                 self.report_violation(format!(
                     "MAX31865: first clock {} ns after its select, tCC is 400 ns",
-                    ticks_to_nanos(since)
+                    ticks_to_ns(since)
                 ));
             }
         }
@@ -236,10 +236,10 @@ impl Chip {
                 let since = now - chip.released_at;
                 chip.selected_at = now;
                 chip.address = None;
-                if chip.released_at > 0 && ticks_to_nanos(since) < 400 {
+                if chip.released_at > 0 && ticks_to_ns(since) < 400 {
                     self.report_violation(format!(
                         "MAX31865: select high for {} ns, tCWH is 400 ns",
-                        ticks_to_nanos(since)
+                        ticks_to_ns(since)
                     ));
                 }
             } else if was && !is {
@@ -249,10 +249,10 @@ impl Chip {
                     self.report_violation(
                         "MAX31865: select released in the middle of a byte".into(),
                     );
-                } else if chip.last_edge > 0 && ticks_to_nanos(since) < 100 {
+                } else if chip.last_edge > 0 && ticks_to_ns(since) < 100 {
                     self.report_violation(format!(
                         "MAX31865: select released {} ns after the last clock, tCCH is 100 ns",
-                        ticks_to_nanos(since)
+                        ticks_to_ns(since)
                     ));
                 }
             }

@@ -59,7 +59,7 @@ pub struct Tim {
 }
 
 impl Tim {
-    pub(crate) fn all_timers() -> Vec<Tim> {
+    pub(crate) fn timers_after_reset() -> Vec<Tim> {
         [
             ("TIM2", TIM2_BASE, 28, false, true),
             ("TIM3", TIM3_BASE, 29, false, false),
@@ -104,7 +104,7 @@ impl Tim {
         }
     }
     /// Before its clock changes.
-    pub(crate) fn latch_count(&mut self, now: u64) {
+    pub(crate) fn rebase_count(&mut self, now: u64) {
         if self.is_running() {
             self.count = u64::from(self.count(now));
             self.since = now;
@@ -354,7 +354,7 @@ impl Chip {
                     ),
                 }
                 let t = &mut self.tims[i];
-                t.latch_count(now);
+                t.rebase_count(now);
                 t.schedule_events(now);
             }
             DIER_OFFSET => {
@@ -415,13 +415,13 @@ impl Chip {
         let old = self.tims[i].cr1;
         let new = self.apply_write_mask(&format!("{name}_CR1"), old, v, CR1_WRITE_MASK);
         let t = &mut self.tims[i];
-        t.latch_count(now);
+        t.rebase_count(now);
         t.cr1 = new;
         if new & !old & CR1_CEN != 0 {
             t.since = now;
         }
         t.schedule_events(now);
-        if new & CR1_DIR_CMS != 0 {
+        if new & CR1_DIR_CMS_MASK != 0 {
             self.record_finding(
                 Severity::Unmodelled,
                 format!("{name} counts down or centre-aligned"),

@@ -35,7 +35,7 @@ pub(crate) const MODELLED_UARTS: [UartInstance; 2] = [
 ];
 
 /// Bits by which a byte differs that the receiver samples at the wrong rate or format: a choice of the model.
-const FORMAT_MISMATCH_PATTERN: u8 = 0x55;
+const SETTINGS_MISMATCH_PATTERN: u8 = 0x55;
 
 /// The registers of a unit and the characters under way.
 #[derive(Default)]
@@ -220,7 +220,7 @@ impl Chip {
         }
         self.uart[n].shift = Some(b);
         self.uart[n].sr = self.uart[n].sr & !SR_TC | SR_TXE;
-        self.uart[n].driven = self.is_driver_enabled(n);
+        self.uart[n].driven = self.is_uart_driver_enabled(n);
         // RM0090 30.3.2 and 30.6.5: start bit, a word of 8 or 9, stop bits.
         let word = if self.uart[n].cr1 & CR1_M != 0 { 9.0 } else { 8.0 };
         let stop =
@@ -231,13 +231,13 @@ impl Chip {
     }
 
     /// Returns whether the bits sent reach the wire: a transceiver of RS-485 has to be switched to send.
-    fn is_driver_enabled(&self, n: usize) -> bool {
+    fn is_uart_driver_enabled(&self, n: usize) -> bool {
         let Some((port, pin)) = self.world.wires[n].drive else { return true };
         self.pin_mode(port, pin) == MODE_OUTPUT && self.gpio[port].odr >> pin & 1 != 0
     }
 
     /// Returns whether the unit takes the characters of the wire as they are meant (RM0090 30.3.7).
-    fn has_matching_uart_format(&self, n: usize) -> bool {
+    fn has_matching_uart_settings(&self, n: usize) -> bool {
         let settings = self.uart[n].cr1 & (CR1_M | CR1_PCE | CR1_PS);
         let meant = match self.world.wires[n].parity {
             Parity::None => 0,
@@ -266,7 +266,7 @@ impl Chip {
     pub(crate) fn finish_uart_transmission(&mut self, n: usize) {
         self.uart[n].tx_at = NEVER;
         if let Some(b) = self.uart[n].shift.take() {
-            if self.uart[n].driven && self.is_driver_enabled(n) {
+            if self.uart[n].driven && self.is_uart_driver_enabled(n) {
                 self.world.wires[n].push_byte_from_board(self.now, b);
             } else {
                 let text = format!(
@@ -290,7 +290,7 @@ impl Chip {
     /// Plans the next byte that the host sends.
     pub(crate) fn schedule_uart_reception(&mut self, n: usize) {
         if self.uart[n].rx_at == NEVER
-            && let Some(at) = self.world.wires[n].next_byte_time()
+            && let Some(at) = self.world.wires[n].next_host_byte_time()
         {
             let start = at.max(self.now);
             self.uart[n].rx_at = start + self.world.wires[n].character_ticks();
@@ -302,14 +302,14 @@ impl Chip {
 
     pub(crate) fn finish_uart_reception(&mut self, n: usize) {
         self.uart[n].rx_at = NEVER;
-        let Some(mut b) = self.world.wires[n].take_byte() else { return };
+        let Some(mut b) = self.world.wires[n].pop_host_byte() else { return };
         let mut disturbed = 0;
         if self.uart[n].disturbed.count > 0 {
             self.uart[n].disturbed.count -= 1;
             disturbed = self.uart[n].disturbed.flags;
             b = self.uart[n].disturbed.byte.unwrap_or(b);
         }
-        if self.world.wires[n].drive.is_some() && self.is_driver_enabled(n) {
+        if self.world.wires[n].drive.is_some() && self.is_uart_driver_enabled(n) {
             let text =
                 format!("{}: a byte of the host collides with the board's", MODELLED_UARTS[n].name);
             self.record_finding(Severity::Remark, text);
@@ -320,7 +320,7 @@ impl Chip {
                     MODELLED_UARTS[n].name
                 ));
             }
-            let agrees = self.has_matching_uart_format(n);
+            let agrees = self.has_matching_uart_settings(n);
             if self.uart[n].sr & SR_RXNE != 0 {
                 self.uart[n].sr |= SR_ORE;
                 self.uart[n].overruns += 1;
@@ -334,7 +334,7 @@ impl Chip {
                 } else {
                     0
                 };
-                let byte = if agrees { b } else { b ^ FORMAT_MISMATCH_PATTERN };
+                let byte = if agrees { b } else { b ^ SETTINGS_MISMATCH_PATTERN };
                 self.uart[n].rdr = u32::from(byte) | parity << 8;
                 self.uart[n].sr |= SR_RXNE | disturbed | if agrees { 0 } else { SR_FE };
                 self.uart[n].received += 1;
@@ -349,7 +349,7 @@ impl Chip {
         self.schedule_uart_reception(n);
     }
 
-    pub(crate) fn on_uart_idle(&mut self, n: usize) {
+    pub(crate) fn handle_uart_idle(&mut self, n: usize) {
         self.uart[n].idle_at = NEVER;
         self.uart[n].sr |= SR_IDLE;
     }

@@ -23,11 +23,11 @@ impl Chip {
             if n.is_multiple_of(20) {
                 let flags =
                     2 | u8::from(now >= w.plan.engage_at) | u8::from(now >= w.plan.zero_at) << 2;
-                w.send_protected_frame(now, CONTROL_ID, 0, &[flags]);
+                w.queue_protected_frame(now, CONTROL_ID, 0, &[flags]);
             }
             if n % 20 == 10 {
                 let rpm = w.plan.rpm.to_le_bytes();
-                w.send_protected_frame(
+                w.queue_protected_frame(
                     now + us_to_ticks(30),
                     SPINDLE_ID,
                     1,
@@ -38,7 +38,7 @@ impl Chip {
                 for (i, id) in POSITION_IDS.into_iter().enumerate() {
                     let mm = 100.0 + n as f64 * 1e-3 * (i as f64 + 1.0);
                     let p = ((mm * 1e5) as i32).to_le_bytes();
-                    w.send_protected_frame(
+                    w.queue_protected_frame(
                         now + us_to_ticks(10),
                         id,
                         2 + i,

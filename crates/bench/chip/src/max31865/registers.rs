@@ -38,6 +38,6 @@ pub(super) const FAULT_LOW_THRESHOLD: u8 = 1 << 6;
 /// The thresholds after power-on, byte by byte: the highest and the lowest ratio.
 pub(super) const THRESHOLD_RESETS: [u8; 4] = [0xff, 0xff, 0, 0];
 /// The ratio of a broken wire: the largest of 15 bits.
-pub(super) const RATIO_MAX: u16 = 0x7fff;
+pub(super) const MAX_RATIO: u16 = 0x7fff;
 /// The byte on MISO while there is nothing to read.
 pub(super) const MISO_IDLE: u8 = 0xff;

@@ -61,7 +61,7 @@ impl Bench {
         self.board.with_chip(|chip| {
             chip.advance(now);
             let result = work(chip);
-            chip.update_interrupt_lines();
+            chip.update_lines_and_next_event();
             result
         })
     }

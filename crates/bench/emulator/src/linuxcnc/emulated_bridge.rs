@@ -7,7 +7,7 @@
 //! | sensor | blocks of 20 codes through the front end | volts at the converter's pin, TIM3, ADC1, DMA |
 //! | temperatures | the converters' words | ohms behind MAX31865 on SPI |
 //! | the CNC's line | CAN through pipes, `SlcanAdapter` | the image's own SLCAN on USART1 |
-//! | its second is | a second of the wall, or less | `EmulatedBridge::time_stretch` seconds of the wall |
+//! | its second is | a second of the wall, or less | `EmulatedBridge::slowdown_factor` seconds of the wall |
 //! | two hours | are lived through by the board | are the machine's: it lives faster than the board |
 //!
 //! The model cannot outrun the wall, so what is slow there is the time of everything: LinuxCNC's feeds are
@@ -24,7 +24,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_core::units::AdcCode;
-use trueup_machine::inputs::{TemperatureInput, TemperatureKind};
+use trueup_machine::inputs::{TemperatureInput, TemperatureInputKind};
 use trueup_pipe::Block;
 
 use super::slcan_adapter::{COMPRESSED_PAIR_INTERVAL_CYCLES, SlcanAdapter};
@@ -40,10 +40,10 @@ const STARTUP_MS: u64 = 1_000;
 const SPEED_MEASUREMENT_MS: u64 = 2_000;
 /// What LinuxCNC and its frames may take of this computer: the model is given this many times longer than it
 /// took without them.
-const TIME_STRETCH_MARGIN: f64 = 1.5;
+const SLOWDOWN_MARGIN: f64 = 1.5;
 
 /// Parts of the bridge: the current machine file, and the one for the warm-up.
-pub enum BridgeImages {
+pub enum BridgeArtefacts {
     /// In QEMU: the image, and both calibrations.
     Qemu(PathBuf, [Vec<u8>; 2]),
     /// On the model of the chip: its program, and both images.
@@ -62,7 +62,7 @@ pub struct BridgeWiring {
     pub seed: u64,
 }
 
-enum BoardBackend {
+enum BridgeBackend {
     Qemu {
         image: PathBuf,
         later: Vec<u8>,
@@ -86,7 +86,7 @@ enum BoardBackend {
 
 /// A running bridge.
 pub struct EmulatedBridge {
-    board: BoardBackend,
+    board: BridgeBackend,
     wiring: BridgeWiring,
 }
 
@@ -95,25 +95,25 @@ impl EmulatedBridge {
     ///
     /// # Errors
     /// It does not come up.
-    pub fn start(images: BridgeImages, wiring: BridgeWiring) -> Result<Self> {
+    pub fn start(images: BridgeArtefacts, wiring: BridgeWiring) -> Result<Self> {
         let board = match images {
-            BridgeImages::Qemu(image, [first, later]) => BoardBackend::Qemu {
+            BridgeArtefacts::Qemu(image, [first, later]) => BridgeBackend::Qemu {
                 board: VirtualBoard::boot(&image, &first)?,
                 adapter: SlcanAdapter::listen()?,
                 front_end: Box::new(AnalogueFrontEnd::new(wiring.divider, wiring.seed)),
                 image,
                 later,
             },
-            BridgeImages::Chip(model, [first, later]) => {
+            BridgeArtefacts::Chip(model, [first, later]) => {
                 let mut board = add_converter_noise(LockstepChip::start(&model, &first, 0)?)?;
                 let slower = measure_slowdown_factor(&mut board)?;
-                BoardBackend::Chip { model, later, board, slower }
+                BridgeBackend::Chip { model, later, board, slower }
             }
-            BridgeImages::Servo(library) => {
+            BridgeArtefacts::Servo(library) => {
                 let listener = TcpListener::bind("127.0.0.1:0")?;
                 listener.set_nonblocking(true)?;
                 let front_end = Box::new(AnalogueFrontEnd::new(wiring.divider, wiring.seed));
-                BoardBackend::Servo { library, listener, client: None, front_end }
+                BridgeBackend::Servo { library, listener, client: None, front_end }
             }
         };
         Ok(Self { board, wiring })
@@ -125,9 +125,9 @@ impl EmulatedBridge {
     /// It listens nowhere.
     pub fn address(&self) -> Result<String> {
         Ok(match &self.board {
-            BoardBackend::Qemu { adapter, .. } => adapter.address(),
-            BoardBackend::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
-            BoardBackend::Servo { listener, .. } => format!("tcp:{}", listener.local_addr()?),
+            BridgeBackend::Qemu { adapter, .. } => adapter.address(),
+            BridgeBackend::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
+            BridgeBackend::Servo { listener, .. } => format!("tcp:{}", listener.local_addr()?),
         })
     }
 
@@ -135,8 +135,8 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn component_library(&self) -> Option<&Path> {
         match &self.board {
-            BoardBackend::Servo { library, .. } => Some(library),
-            BoardBackend::Qemu { .. } | BoardBackend::Chip { .. } => None,
+            BridgeBackend::Servo { library, .. } => Some(library),
+            BridgeBackend::Qemu { .. } | BridgeBackend::Chip { .. } => None,
         }
     }
 
@@ -150,8 +150,8 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn slowdown_factor(&self) -> u32 {
         match self.board {
-            BoardBackend::Qemu { .. } | BoardBackend::Servo { .. } => 1,
-            BoardBackend::Chip { slower, .. } => slower,
+            BridgeBackend::Qemu { .. } | BridgeBackend::Servo { .. } => 1,
+            BridgeBackend::Chip { slower, .. } => slower,
         }
     }
 
@@ -160,9 +160,9 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn time_ratios(&self, factor: u32) -> [f64; 2] {
         match self.board {
-            BoardBackend::Qemu { .. } => [f64::from(factor), 1.0],
-            BoardBackend::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
-            BoardBackend::Servo { .. } => [1.0, f64::from(factor)],
+            BridgeBackend::Qemu { .. } => [f64::from(factor), 1.0],
+            BridgeBackend::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
+            BridgeBackend::Servo { .. } => [1.0, f64::from(factor)],
         }
     }
 
@@ -179,8 +179,9 @@ impl EmulatedBridge {
         celsius: &BTreeMap<String, f64>,
     ) -> Result<()> {
         match &mut self.board {
-            BoardBackend::Qemu { board, adapter, front_end, .. } => {
-                let temperatures = replay::raw_temperatures(&self.wiring.temperatures, celsius);
+            BridgeBackend::Qemu { board, adapter, front_end, .. } => {
+                let temperatures =
+                    replay::raw_temperatures_from_celsius(&self.wiring.temperatures, celsius);
                 let blocks: Vec<Block> = (0..ms)
                     .map(|_| {
                         let volts = volts();
@@ -203,10 +204,10 @@ impl EmulatedBridge {
                 adapter.forward_frames(&sent);
                 Ok(())
             }
-            BoardBackend::Chip { board, .. } => {
+            BridgeBackend::Chip { board, .. } => {
                 for (name, input) in &self.wiring.temperatures {
                     let Some(celsius) = celsius.get(name) else { continue };
-                    ensure!(input.kind == TemperatureKind::Pt100, "{name} is no PT100");
+                    ensure!(input.kind == TemperatureInputKind::Pt100, "{name} is no PT100");
                     board.apply_script_line(&format!("rtd {} {celsius}", input.channel))?;
                 }
                 for _ in 0..ms {
@@ -219,7 +220,7 @@ impl EmulatedBridge {
                 }
                 Ok(())
             }
-            BoardBackend::Servo { listener, client, front_end, .. } => {
+            BridgeBackend::Servo { listener, client, front_end, .. } => {
                 if client.is_none() {
                     *client = listener.accept().ok().map(|connection| connection.0);
                 }
@@ -248,15 +249,15 @@ impl EmulatedBridge {
     /// Returns whether its time begins with that of LinuxCNC: a message before would be late for good.
     #[must_use]
     pub(crate) fn is_clocked_by_cnc(&self) -> bool {
-        matches!(self.board, BoardBackend::Servo { .. })
+        matches!(self.board, BridgeBackend::Servo { .. })
     }
 
     /// Returns whether the CNC has sent something within `time`, where that is known.
     #[must_use]
     pub(crate) fn has_received_from_cnc_within(&self, time: Duration) -> bool {
         match &self.board {
-            BoardBackend::Qemu { adapter, .. } => adapter.has_received_from_cnc_within(time),
-            BoardBackend::Chip { .. } | BoardBackend::Servo { .. } => true,
+            BridgeBackend::Qemu { adapter, .. } => adapter.has_received_from_cnc_within(time),
+            BridgeBackend::Chip { .. } | BridgeBackend::Servo { .. } => true,
         }
     }
 
@@ -266,19 +267,19 @@ impl EmulatedBridge {
     /// It does not come up again, or the model of the chip objects to what was done so far.
     pub(crate) fn restart_for_warm_up(self) -> Result<Self> {
         let board = match self.board {
-            BoardBackend::Qemu { image, later, adapter, front_end, board } => {
+            BridgeBackend::Qemu { image, later, adapter, front_end, board } => {
                 drop(board);
                 let board = VirtualBoard::boot(&image, &later)?;
-                BoardBackend::Qemu { image, later, adapter, front_end, board }
+                BridgeBackend::Qemu { image, later, adapter, front_end, board }
             }
-            BoardBackend::Chip { model, later, board, slower } => {
+            BridgeBackend::Chip { model, later, board, slower } => {
                 let port = board.port();
                 board.power_off()?;
                 let board = add_converter_noise(LockstepChip::start(&model, &later, port)?)?;
-                BoardBackend::Chip { model, later, board, slower }
+                BridgeBackend::Chip { model, later, board, slower }
             }
             // LinuxCNC reads its machine file once.
-            it @ BoardBackend::Servo { .. } => it,
+            it @ BridgeBackend::Servo { .. } => it,
         };
         Ok(Self { board, ..self })
     }
@@ -287,9 +288,9 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn take_log(&self) -> Vec<String> {
         match &self.board {
-            BoardBackend::Qemu { board, .. } => board.take_log(),
-            BoardBackend::Chip { board, .. } => board.take_log(),
-            BoardBackend::Servo { .. } => Vec::new(),
+            BridgeBackend::Qemu { board, .. } => board.take_log(),
+            BridgeBackend::Chip { board, .. } => board.take_log(),
+            BridgeBackend::Servo { .. } => Vec::new(),
         }
     }
 
@@ -300,9 +301,9 @@ impl EmulatedBridge {
     /// The model of the chip objects to what was done.
     pub fn shut_down(self) -> Result<Option<(u64, u64)>> {
         match self.board {
-            BoardBackend::Qemu { adapter, .. } => Ok(Some(adapter.frame_counts())),
-            BoardBackend::Chip { board, .. } => board.power_off().map(|()| None),
-            BoardBackend::Servo { .. } => Ok(None),
+            BridgeBackend::Qemu { adapter, .. } => Ok(Some(adapter.frame_counts())),
+            BridgeBackend::Chip { board, .. } => board.power_off().map(|()| None),
+            BridgeBackend::Servo { .. } => Ok(None),
         }
     }
 }
@@ -343,5 +344,5 @@ fn measure_slowdown_factor(board: &mut LockstepChip) -> Result<u32> {
         received as u64 > 40 * SPEED_MEASUREMENT_MS,
         "the board says too little: {received} bytes"
     );
-    Ok((took_ms / SPEED_MEASUREMENT_MS as f64 * TIME_STRETCH_MARGIN).ceil() as u32)
+    Ok((took_ms / SPEED_MEASUREMENT_MS as f64 * SLOWDOWN_MARGIN).ceil() as u32)
 }

@@ -105,7 +105,7 @@ impl HeadlessLinuxCnc {
                 Err(error) => {
                     terminate_process_group(&mut child);
                     let log_lines = read_recent_log(folder.path());
-                    let denied = stale_shared_memory::denied_keys(&log_lines);
+                    let denied = stale_shared_memory::parse_denied_keys(&log_lines);
                     if attempt == MAX_START_ATTEMPTS || denied.is_empty() {
                         bail!("LinuxCNC does not come up: {error:#}\n{log_lines}");
                     }

@@ -71,7 +71,7 @@ impl<'a> HostBridge<'a> {
             };
             bridge.receive(state, CncMessage::Position(AxisPosition { axis, position, direction }));
         }
-        let temperatures = replay::raw_temperatures(self.temperatures, celsius);
+        let temperatures = replay::raw_temperatures_from_celsius(self.temperatures, celsius);
         let codes = self.front_end.convert_block(|_| volts);
         self.now = self.now.wrapping_add_ms(1);
         let input = TickInput {

@@ -25,9 +25,9 @@ use trueup_machine::MachineFile;
 mod cycle_statistics;
 
 use cycle_statistics::{
-    CycleMetric, arc_angle_deg, compare_staircases, compute_lag_statistics, cross_track_range,
+    CycleMetric, arc_angle_deg, compare_staircases, compute_lag_statistics, cross_track_range_um,
     error_curve, five_axes_curve, max_offset_step_um, max_uncompensated_difference_um,
-    peak_to_peak, radial_error_range, vector_norm, warm_up_curve,
+    peak_to_peak, radial_error_range_um, vector_norm, warm_up_curve,
 };
 pub use cycle_statistics::{ErrorCurve, LagStatistics, StaircaseStep};
 
@@ -36,7 +36,7 @@ use super::{
     WARM_UP_DURATION_S,
     config::{OFFSET_AV_RATIO, phase},
     host_bridge,
-    plant::{LoopResult, ServoCycle},
+    plant::{LoopCounters, ServoCycle},
     slcan_adapter,
 };
 
@@ -49,7 +49,7 @@ pub struct RunRecord {
     /// All servo cycles.
     pub cycles: Vec<ServoCycle>,
     /// The account of the loop.
-    pub account: LoopResult,
+    pub account: LoopCounters,
     /// How long the warm-up took on the wall's clock, in s.
     pub warm_up_wall_s: f64,
     /// The component's counters, by their pins.
@@ -111,7 +111,7 @@ impl AcceptanceCheck {
 
 /// The error across a path, axis by axis.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct CrossTrackError {
+pub struct CrossTrackErrorRange {
     /// Range on X, Y and Z before, in µm.
     pub before_um: [f64; 3],
     /// Range on X, Y and Z after, in µm.
@@ -153,7 +153,7 @@ pub struct LoopFigures {
     /// The claim.
     pub checks: Vec<AcceptanceCheck>,
     /// Across the diagonal.
-    pub diagonal: CrossTrackError,
+    pub diagonal: CrossTrackErrorRange,
     /// Range of the error across the arc, radially: before and after, in µm.
     pub arc_radial_um: [f64; 2],
     /// The same across the arc on Z: before and after, in µm.
@@ -214,7 +214,7 @@ fn min_growth_um(five: &[&ServoCycle]) -> f64 {
 /// Compares each figure with the least or most that it has to reach.
 fn evaluate_checks(
     run: &RunRecord,
-    diagonal: &CrossTrackError,
+    diagonal: &CrossTrackErrorRange,
     lag: &LagStatistics,
     stairs: &[StaircaseStep],
     warm_up: &[&ServoCycle],
@@ -302,9 +302,9 @@ impl LoopFigures {
             Ok(cycles)
         };
         let [before, after] = [part(0, phase::DIAGONAL)?, part(1, phase::DIAGONAL)?];
-        let diagonal = CrossTrackError {
-            before_um: cross_track_range(&before),
-            after_um: cross_track_range(&after),
+        let diagonal = CrossTrackErrorRange {
+            before_um: cross_track_range_um(&before),
+            after_um: cross_track_range_um(&after),
         };
         let file = MachineFile::parse(&run.machine_file, Path::new("extended.toml"))?;
         let lag =
@@ -323,11 +323,11 @@ impl LoopFigures {
             }
             BridgePlatform::Chip | BridgePlatform::Servo => [1, TIME_COMPRESSION, 1],
         };
-        let LoopResult { board_ms, slipped_ms, lost_samples, traffic } = run.account;
+        let LoopCounters { board_ms, slipped_ms, lost_samples, traffic } = run.account;
         Ok(Self {
             way: run.way,
             checks,
-            arc_radial_um: [radial_error_range(&arc_before), radial_error_range(&arc_after)],
+            arc_radial_um: [radial_error_range_um(&arc_before), radial_error_range_um(&arc_after)],
             arc_z_um: [&arc_before, &arc_after]
                 .map(|part| peak_to_peak(part.iter().map(|cycle| cycle.with_um[2]))),
             stairs,

@@ -16,7 +16,7 @@ use trueup_twin::Scenario;
 /// The machine, as the twin takes it.
 const TWIN_MACHINE_TOML: &str = include_str!("machine.toml");
 /// The user's knowledge without measuring.
-const BASE_MACHINE_FILE: &str = include_str!("base.toml");
+const BASE_MACHINE_TOML: &str = include_str!("base.toml");
 /// Seeds of the measured runs; the loop itself has another.
 const MEASUREMENT_SEEDS: [u64; 6] = [11, 12, 13, 14, 15, 16];
 /// Seed of the machine in the loop.
@@ -178,7 +178,7 @@ pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMa
         let files = ["--machine", "m.toml", "-o", "m.toml"];
         run(&[&["fit"], arguments, &files[..]].concat()).map(drop)
     };
-    fs::write(path("m.toml"), BASE_MACHINE_FILE)?;
+    fs::write(path("m.toml"), BASE_MACHINE_TOML)?;
     let segments: String = WARM_UP_SPEED_SPECTRUM
         .iter()
         .map(|(seconds, rpm)| {

@@ -63,7 +63,7 @@ use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::SimulatedMachine as Twin;
 
 use self::{
-    emulated_bridge::{BridgeImages, BridgeWiring, EmulatedBridge},
+    emulated_bridge::{BridgeArtefacts, BridgeWiring, EmulatedBridge},
     headless_linuxcnc::HeadlessLinuxCnc,
     loop_results::{LoopFigures, RunRecord},
     machine_measurement::{LOOP_SEED, MeasuredMachine},
@@ -121,7 +121,7 @@ impl CompensationRoute {
     }
 
     /// Returns whether `trueup linuxcnc setup` writes the HAL files.
-    fn is_written_by_setup(self) -> bool {
+    fn has_hal_files_from_setup(self) -> bool {
         self.on == BridgePlatform::Servo || self.by == OffsetEntryPoint::Joint
     }
 }
@@ -133,7 +133,7 @@ pub(crate) const PASS_NUMBERS: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
 const NC_PROGRAM_TIMEOUT: Duration = Duration::from_secs(180);
 /// The warm-up may take this many times as long as planned, on a computer that is too slow.
-const MAX_WARM_UP_STRETCH: u32 = 6;
+const WARM_UP_TIMEOUT_FACTOR: u32 = 6;
 const CONVERTER_NOISE_SEED: u64 = 77;
 
 /// Runs the whole; `None` where the distribution has no package of LinuxCNC, or the compiler is too old for
@@ -144,7 +144,7 @@ const CONVERTER_NOISE_SEED: u64 = 77;
 pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
     let on = way.on;
     let started = Instant::now();
-    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(None) };
+    let Some(control) = setup::install_and_lock_linuxcnc()? else { return Ok(None) };
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -159,7 +159,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
         bar.set_message(what.to_owned());
     };
 
-    let Some((trueup, measured, images)) = build_and_measure(way, &announce)? else {
+    let Some((trueup, measured, images)) = prepare_bridge_and_machine(way, &announce)? else {
         return Ok(None);
     };
 
@@ -206,7 +206,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
     while cnc.is_program_running()? {
         plant.check_running()?;
         ensure!(
-            warm_up.elapsed() < NC_PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * slower,
+            warm_up.elapsed() < NC_PROGRAM_TIMEOUT * WARM_UP_TIMEOUT_FACTOR * slower,
             "the program does not end"
         );
         thread::sleep(Duration::from_millis(50));
@@ -242,10 +242,10 @@ pub fn run(way: CompensationRoute) -> Result<Option<LoopFigures>> {
 }
 
 /// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
-fn build_and_measure(
+fn prepare_bridge_and_machine(
     way: CompensationRoute,
     announce: &impl Fn(&str),
-) -> Result<Option<(PathBuf, MeasuredMachine, BridgeImages)>> {
+) -> Result<Option<(PathBuf, MeasuredMachine, BridgeArtefacts)>> {
     announce("building the firmware and the host tool");
     let trueup = host_programs::build_trueup()?;
     // The image, the program that is the chip, or the library of the component.
@@ -261,12 +261,14 @@ fn build_and_measure(
         machine_measurement::measure_machine(&trueup, work.path())?
     };
     let images = match way.on {
-        BridgePlatform::Qemu => BridgeImages::Qemu(firmware, compile_calibration_blobs(&measured)?),
+        BridgePlatform::Qemu => {
+            BridgeArtefacts::Qemu(firmware, compile_calibration_blobs(&measured)?)
+        }
         BridgePlatform::Chip => {
             announce("building the images of this machine");
-            BridgeImages::Chip(firmware, build_images(&measured, &way.output_folder())?)
+            BridgeArtefacts::Chip(firmware, build_images(&measured, &way.output_folder())?)
         }
-        BridgePlatform::Servo => BridgeImages::Servo(firmware),
+        BridgePlatform::Servo => BridgeArtefacts::Servo(firmware),
     };
     Ok(Some((trueup, measured, images)))
 }
@@ -311,7 +313,7 @@ fn build_images(measured: &MeasuredMachine, folder: &str) -> Result<[PathBuf; 2]
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
         fs::write(&machine, text)?;
-        firmware_images::build_image_for_machine(&machine)
+        firmware_images::build_standalone_image(&machine)
     };
     let hurried = measured.time_compressed_machine_file(TIME_COMPRESSION)?;
     Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
@@ -324,10 +326,10 @@ fn start_linuxcnc(
     way: CompensationRoute,
     control: setup::LockedLinuxCnc,
 ) -> Result<HeadlessLinuxCnc> {
-    let (slower, slew_um_per_s) = (plant.time_stretch(), measured.machine.limits.slew_um_per_s);
+    let (slower, slew_um_per_s) = (plant.slowdown_factor(), measured.machine.limits.slew_um_per_s);
     let folder = HeadlessLinuxCnc::create_config_folder()?;
     fs::copy(trueup, folder.path().join("trueup"))?;
-    if way.is_written_by_setup() {
+    if way.has_hal_files_from_setup() {
         return setup_config::start(plant, measured, way, folder, control);
     }
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
@@ -345,14 +347,14 @@ fn start_linuxcnc(
         ),
         ("machine.toml", measured.text.clone()),
     ];
-    for (name, text) in texts.into_iter().chain(nc_programs(slower)) {
+    for (name, text) in texts.into_iter().chain(nc_programs_and_tool_table(slower)) {
         fs::write(folder.path().join(name), text)?;
     }
     HeadlessLinuxCnc::start(folder, "loop.ini", control)
 }
 
 /// Returns the programs and the table of tools.
-fn nc_programs(slower: u32) -> [(&'static str, String); 4] {
+fn nc_programs_and_tool_table(slower: u32) -> [(&'static str, String); 4] {
     [
         ("loop.tbl", String::new()),
         ("path-1.ngc", config::path_program(PASS_NUMBERS[0], slower)),
@@ -367,7 +369,7 @@ fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant, program: &s
     let begun = Instant::now();
     while cnc.is_program_running().with_context(|| cnc.recent_log())? {
         plant.check_running()?;
-        let timeout = NC_PROGRAM_TIMEOUT * plant.time_stretch();
+        let timeout = NC_PROGRAM_TIMEOUT * plant.slowdown_factor();
         ensure!(begun.elapsed() < timeout, "{program} is not done after {timeout:?}");
         thread::sleep(Duration::from_millis(50));
     }
@@ -411,18 +413,18 @@ fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> Re
         ensure!(begun.elapsed() < NC_PROGRAM_TIMEOUT, "the spindle does not run up");
         thread::sleep(Duration::from_millis(5));
     }
-    plant.set_time_factor(TIME_COMPRESSION);
+    plant.set_time_compression(TIME_COMPRESSION);
     while lived_s(plant) - from_s < f64::from(WARM_UP_DURATION_S) {
         plant.check_running()?;
         cnc.is_program_running()?;
         ensure!(
-            begun.elapsed() < NC_PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * plant.time_stretch(),
+            begun.elapsed() < NC_PROGRAM_TIMEOUT * WARM_UP_TIMEOUT_FACTOR * plant.slowdown_factor(),
             "the warm-up does not end"
         );
         thread::sleep(Duration::from_millis(20));
     }
-    plant.set_time_factor(1);
+    plant.set_time_compression(1);
     // At real time again before the axes move.
-    thread::sleep(Duration::from_millis(300) * plant.time_stretch());
+    thread::sleep(Duration::from_millis(300) * plant.slowdown_factor());
     cnc.set_pin("motion.digital-in-00", 1)
 }

@@ -117,7 +117,7 @@ struct LoopState {
 
 /// Result of the loop.
 #[derive(Clone, Copy, Debug)]
-pub struct LoopResult {
+pub struct LoopCounters {
     /// Milliseconds of the board.
     pub board_ms: u64,
     /// Milliseconds that the board should have lived through at real time and has not: this computer
@@ -161,7 +161,7 @@ impl RunningPlant {
 
     /// Returns the library of the component, and the channels of the thermometers, where there is no board.
     #[must_use]
-    pub(crate) fn host_component(&self) -> Option<(&Path, &[u8])> {
+    pub(crate) fn servo_component(&self) -> Option<(&Path, &[u8])> {
         self.library.as_deref().map(|library| (library, &self.channels[..]))
     }
 
@@ -173,7 +173,7 @@ impl RunningPlant {
 
     /// Returns a second of the machine in motion, in seconds of the wall.
     #[must_use]
-    pub(crate) fn time_stretch(&self) -> u32 {
+    pub(crate) fn slowdown_factor(&self) -> u32 {
         self.slower
     }
 
@@ -193,7 +193,7 @@ impl RunningPlant {
     }
 
     /// Lets time pass this many times as fast for the machine.
-    pub(crate) fn set_time_factor(&self, factor: u32) {
+    pub(crate) fn set_time_compression(&self, factor: u32) {
         self.shared.factor.store(factor, Ordering::Relaxed);
     }
 
@@ -230,10 +230,10 @@ impl RunningPlant {
     ///
     /// # Errors
     /// It had ended before, for a reason of its own.
-    pub fn finish(mut self) -> Result<(Vec<ServoCycle>, LoopResult)> {
+    pub fn finish(mut self) -> Result<(Vec<ServoCycle>, LoopCounters)> {
         let traffic = self.stop_and_join()?;
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let account = LoopResult {
+        let account = LoopCounters {
             board_ms: load(&self.shared.board_ms),
             slipped_ms: load(&self.shared.slipped_ms),
             lost_samples: load(&self.shared.lost_samples),
@@ -389,9 +389,9 @@ impl SimulationLoop {
 
     /// Lets the board live through this many milliseconds of the machine as it stands.
     fn advance(&mut self, bridge: &mut EmulatedBridge, ms: u64, factor: u32) -> Result<()> {
-        let shown = self.with.temperatures_c().into_iter();
+        let shown = self.with.read_temperatures_c().into_iter();
         let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
-        bridge.advance(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
+        bridge.advance(ms, factor, || self.with.read_sensor_volts().unwrap_or(0.0), &celsius)?;
         self.shared.board_ms.fetch_add(ms, Ordering::Relaxed);
         let log = bridge.take_log();
         if !log.is_empty() {

@@ -67,9 +67,9 @@ fn simulate_backlash_reduction_percent(
     let mut offset_mm = 0.0;
     let mut errors: Vec<[f64; 2]> = Vec::with_capacity(path.z_mm.len());
     for &z_mm in &path.z_mm {
-        let celsius = with.temperatures_c().into_iter();
+        let celsius = with.read_temperatures_c().into_iter();
         let celsius = celsius.map(|(name, celsius)| (name.to_owned(), celsius)).collect();
-        let volts = with.sensor_volts().context("the machine has a sensor")?;
+        let volts = with.read_sensor_volts().context("the machine has a sensor")?;
         let offset = bridge.step([0.0, 0.0, z_mm], volts, &celsius);
         offset_mm = offset.map_or(offset_mm, |[_, _, z_mm]| z_mm);
         let driven =

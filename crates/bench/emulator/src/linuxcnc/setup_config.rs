@@ -35,7 +35,7 @@ pub fn start(
     for net in config::ANGLE_AND_LOAD_NETS {
         let _ = writeln!(hal, "net {net}");
     }
-    let (machine, to_bridge) = match plant.host_component() {
+    let (machine, to_bridge) = match plant.servo_component() {
         Some((library, channels)) => {
             setup::ensure_linuxcnc_dev()?;
             let out = path("trueup_node");
@@ -56,7 +56,7 @@ pub fn start(
         ("feed.sh", STREAMER_INPUT_SCRIPT.into()),
         ("machine.toml", machine),
     ];
-    for (name, text) in texts.into_iter().chain(super::nc_programs(1)) {
+    for (name, text) in texts.into_iter().chain(super::nc_programs_and_tool_table(1)) {
         fs::write(path(name), text)?;
     }
     let by = match way.by {
@@ -76,7 +76,7 @@ pub fn start(
         &path("trueup.hal"),
         " --rotary",
         " --any-calibration --rotary",
-        plant.host_component().is_none(),
+        plant.servo_component().is_none(),
     )?;
     let ours = "HALFILE = trueup.hal\n";
     replace_in_file(&path("loop.ini"), ours, &format!("{ours}HALFILE = {here}/loop.hal\n"), true)?;

@@ -9,13 +9,13 @@ use crate::{
     image_check::ImageDefect,
     image_header::{FirmwareVersion, HEADER_SIZE},
     testing::{
-        JOURNAL_SECTOR_BYTES, PowerSupply, PoweredFlash, SLOT_BYTES, TEST_KEY, TestKey,
+        PowerSupply, PoweredFlash, TEST_JOURNAL_SECTOR_BYTES, TEST_KEY, TEST_SLOT_BYTES, TestKey,
         flash_by_probe, image_signed_by, with_supply,
     },
     update::{ImageUpdate, UpdateError},
 };
 use std::{println, vec::Vec};
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
 const OLD_KEY: TestKey = TEST_KEY;
 const NEW_KEY: TestKey = TestKey(8);
@@ -24,15 +24,17 @@ const UNLIMITED_BYTES: usize = usize::MAX / 2;
 
 #[derive(Clone)]
 struct KeyChangeBoard {
-    records: StrictFlash<JOURNAL_SECTOR_BYTES>,
-    slots: StrictFlash<SLOT_BYTES>,
+    records: SimulatedNorFlash<TEST_JOURNAL_SECTOR_BYTES>,
+    slots: SimulatedNorFlash<TEST_SLOT_BYTES>,
 }
 
 impl KeyChangeBoard {
     /// An erased chip with the files of a probe; its boot program has the new key.
     fn with_images(a: &[u8], b: &[u8], seed: u32) -> Self {
-        let (records, mut slots) =
-            (StrictFlash::with_unstable_bits(seed), StrictFlash::with_unstable_bits(!seed));
+        let (records, mut slots) = (
+            SimulatedNorFlash::with_unstable_bits(seed),
+            SimulatedNorFlash::with_unstable_bits(!seed),
+        );
         flash_by_probe(&mut slots, Slot::A, a);
         flash_by_probe(&mut slots, Slot::B, b);
         Self { records, slots }
@@ -42,8 +44,8 @@ impl KeyChangeBoard {
         &mut self,
         supply: &PowerSupply,
         work: impl FnOnce(
-            &mut Journal<PoweredFlash<JOURNAL_SECTOR_BYTES>>,
-            &mut PoweredFlash<SLOT_BYTES>,
+            &mut Journal<PoweredFlash<TEST_JOURNAL_SECTOR_BYTES>>,
+            &mut PoweredFlash<TEST_SLOT_BYTES>,
         ) -> T,
     ) -> T {
         with_supply(&mut self.records, &mut self.slots, supply, work)
@@ -76,7 +78,7 @@ impl KeyChangeBoard {
 
     /// Checks that this slot holds the whole file, and that its bytes are read the same each time.
     fn holds_image(&self, slot: Slot, file: &[u8]) -> bool {
-        let from = usize::from(slot.number()) * SLOT_BYTES;
+        let from = usize::from(slot.number()) * TEST_SLOT_BYTES;
         let range = from..from + file.len();
         let wavers = self.slots.wavering.range(range.clone()).any(|(_, bits)| *bits != 0);
         !wavers && self.slots.bytes[range] == *file
@@ -167,6 +169,6 @@ fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_
         Some(Slot::A)
     );
     assert_eq!(board.clone().start().map(|started| started.0), Some(Slot::B), "the record counts");
-    board.records = StrictFlash::erased();
+    board.records = SimulatedNorFlash::erased();
     assert_eq!(board.start().map(|start| start.0), Some(Slot::A));
 }

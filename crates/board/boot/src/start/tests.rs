@@ -4,15 +4,15 @@ use super::*;
 use crate::{
     image_header::FirmwareVersion,
     testing::{
-        JOURNAL_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey, flash_by_probe, image_signed_by,
-        signed_image,
+        TEST_JOURNAL_SECTOR_BYTES, TEST_KEY, TEST_SLOT_BYTES, TestKey, flash_by_probe,
+        image_signed_by, signed_image,
     },
 };
 use std::vec::Vec;
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
-type Records = StrictFlash<JOURNAL_SECTOR_BYTES>;
-type Slots = StrictFlash<SLOT_BYTES>;
+type Records = SimulatedNorFlash<TEST_JOURNAL_SECTOR_BYTES>;
+type Slots = SimulatedNorFlash<TEST_SLOT_BYTES>;
 
 /// A board with what is in its flash.
 struct Board {

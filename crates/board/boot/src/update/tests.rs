@@ -4,20 +4,24 @@ use super::*;
 use crate::{
     boot_state::BootState,
     testing::{
-        JOURNAL_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey, flash_by_probe, image_signed_by,
-        signed_image,
+        TEST_JOURNAL_SECTOR_BYTES, TEST_KEY, TEST_SLOT_BYTES, TestKey, flash_by_probe,
+        image_signed_by, signed_image,
     },
 };
 use std::vec::Vec;
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
-type Parts = (Journal<StrictFlash<JOURNAL_SECTOR_BYTES>>, StrictFlash<SLOT_BYTES>, Image);
+type Parts = (
+    Journal<SimulatedNorFlash<TEST_JOURNAL_SECTOR_BYTES>>,
+    SimulatedNorFlash<TEST_SLOT_BYTES>,
+    Image,
+);
 
 /// Version 2 runs in slot A, confirmed; the floor is 1.
 fn running() -> Parts {
-    let mut slots = StrictFlash::erased();
+    let mut slots = SimulatedNorFlash::erased();
     flash_by_probe(&mut slots, Slot::A, &signed_image(Slot::A, 2, 1));
-    let mut journal = Journal::open(StrictFlash::erased());
+    let mut journal = Journal::open(SimulatedNorFlash::erased());
     let running = read_header(&mut slots, Slot::A, FirmwareVersion::default()).unwrap();
     confirm(&mut journal, &running).unwrap();
     assert_eq!(journal.state().floor, FirmwareVersion::new(0, 1, 0, 0));
@@ -45,7 +49,11 @@ fn a_file_comes_in_pieces_of_any_size_and_is_verified() {
         assert_eq!(update.received as usize, file.len());
         assert_eq!(update.append(&mut slots, &[0]), Err(UpdateError::Length));
         update.finish(&mut journal, &mut slots, &TEST_KEY, || ()).unwrap();
-        assert_eq!(slots.bytes[SLOT_BYTES..SLOT_BYTES + file.len()], file, "pieces of {piece}");
+        assert_eq!(
+            slots.bytes[TEST_SLOT_BYTES..TEST_SLOT_BYTES + file.len()],
+            file,
+            "pieces of {piece}"
+        );
         assert_eq!(journal.state().status(Slot::B, tag), ImageStatus::Verified);
         assert_eq!(
             journal.state().floor,
@@ -133,10 +141,10 @@ fn the_slot_is_known_by_where_the_image_runs() {
 fn behind_a_step_that_makes_room_a_confirmation_erases_nothing() {
     // However full the records are when an image that is not confirmed is given another one.
     for changes in 0..40_u8 {
-        let mut slots = StrictFlash::<SLOT_BYTES>::erased();
+        let mut slots = SimulatedNorFlash::<TEST_SLOT_BYTES>::erased();
         flash_by_probe(&mut slots, Slot::A, &signed_image(Slot::A, 2, 1));
         let running = read_header(&mut slots, Slot::A, FirmwareVersion::default()).unwrap();
-        let mut journal = Journal::open(StrictFlash::<JOURNAL_SECTOR_BYTES>::erased());
+        let mut journal = Journal::open(SimulatedNorFlash::<TEST_JOURNAL_SECTOR_BYTES>::erased());
         for number in 0..changes {
             let state = journal.state().with_status(Slot::B, number.into(), ImageStatus::Loading);
             journal.commit(state).unwrap();

@@ -112,7 +112,7 @@ pub(super) const fn status_entry(subindex: u8, name: &'static str) -> Entry {
 }
 
 /// Returns a process value.
-pub(super) const fn value_entry(subindex: u8, name: &'static str) -> Entry {
+pub(super) const fn process_value_entry(subindex: u8, name: &'static str) -> Entry {
     read_only_entry(subindex, name, DataType::I32, EntryContent::Input(subindex.saturating_sub(1)))
 }
 

@@ -10,7 +10,7 @@ use super::{AccessType, DataType, Entry, EntryContent, OBJECTS, Object, ObjectCo
 /// # Errors
 /// None but those of `out`.
 pub(crate) fn write_eds(out: &mut impl fmt::Write) -> fmt::Result {
-    out.write_str(FILE_INFO)?;
+    out.write_str(EDS_PREAMBLE)?;
     let is_mandatory = |object: &Object| [0x1000, 0x1001, 0x1018].contains(&object.index);
     let is_manufacturers = |object: &Object| (0x2000..0x6000).contains(&object.index);
     write_object_list(out, "MandatoryObjects", is_mandatory)?;
@@ -21,7 +21,7 @@ pub(crate) fn write_eds(out: &mut impl fmt::Write) -> fmt::Result {
     OBJECTS.iter().try_for_each(|object| write_object(out, object))
 }
 
-const FILE_INFO: &str = concat!(
+const EDS_PREAMBLE: &str = concat!(
     "[FileInfo]\nFileName=trueup.eds\nFileVersion=1\nFileRevision=1\nEDSVersion=4.0\n",
     "Description=trueup bridge, printed from its object dictionary\n\n",
     "[DeviceInfo]\nVendorName=trueup\nVendorNumber=0\nProductName=trueup bridge\n",

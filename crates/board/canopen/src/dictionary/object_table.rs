@@ -9,9 +9,9 @@ use super::{
     ReceiverCounter,
     constructors::{
         array_object, celsius_unit_entry, constant_entry, crash_detail_entry, decimal_digits_entry,
-        domain_entry, error_entry, highest_subindex_entry, micrometres_unit_entry, read_only_entry,
-        read_write_entry, receiver_counter_entry, record_object, reset_count_entry, status_entry,
-        text_entry, value_entry, var_object,
+        domain_entry, error_entry, highest_subindex_entry, micrometres_unit_entry,
+        process_value_entry, read_only_entry, read_write_entry, receiver_counter_entry,
+        record_object, reset_count_entry, status_entry, text_entry, var_object,
     },
 };
 
@@ -455,5 +455,9 @@ pub const OBJECTS: &[Object] = &[
         inputs!(decimal_digits_entry, decimal_digits_entry),
     ),
     array_object(0x6150, "AI status", inputs!(status_entry, status_entry)),
-    array_object(0x9130, "AI input process value", inputs!(value_entry, value_entry)),
+    array_object(
+        0x9130,
+        "AI input process value",
+        inputs!(process_value_entry, process_value_entry),
+    ),
 ];

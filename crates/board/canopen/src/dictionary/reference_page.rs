@@ -37,7 +37,7 @@ fn format_address(content: EntryContent) -> String {
 }
 
 /// Returns the rows of the reference.
-fn reference_rows() -> Vec<PageRow> {
+fn stored_reference_rows() -> Vec<PageRow> {
     let key = format_address(EntryContent::Forget);
     let [first, last] = [EntryContent::ReferenceElongation, EntryContent::Reference(2)];
     let written = format!("{} to {:02X}", format_address(first), find_address(last).1);
@@ -216,8 +216,8 @@ mod tests {
     fn the_reference_page_prints_the_objects_of_the_table() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/reference.md");
         let page = fs::read_to_string(&path).expect("the page");
-        let tables =
-            [reference_rows(), calibration_rows(), firmware_rows()].map(|rows| format_table(&rows));
+        let tables = [stored_reference_rows(), calibration_rows(), firmware_rows()]
+            .map(|rows| format_table(&rows));
         let missing: Vec<_> =
             tables.iter().filter(|table| !page.contains(table.as_str())).cloned().collect();
         assert!(missing.is_empty(), "put this into docs/reference.md:\n{}", missing.join("\n"));
@@ -230,7 +230,7 @@ mod tests {
 
     #[test]
     fn every_entry_of_an_object_on_the_page_has_its_row() {
-        for rows in [reference_rows(), calibration_rows(), firmware_rows()] {
+        for rows in [stored_reference_rows(), calibration_rows(), firmware_rows()] {
             let described: Vec<ObjectAddress> = rows
                 .iter()
                 .flat_map(|row| &row.contents)

@@ -125,12 +125,12 @@ fn the_history_keeps_the_newest() {
     for fault in Fault::ALL {
         emergencies_after(&mut all, Faults::default().with_fault_if(true, fault), 20);
     }
-    assert_eq!(all.error_count(), ERROR_HISTORY_LEN);
+    assert_eq!(all.history_len(), ERROR_HISTORY_LEN);
     let newest = Fault::ALL[Fault::ALL.len() - 1];
     assert_eq!(all.history_entry(0), Some((newest as u32) << 16 | u32::from(newest.code())));
     assert_eq!(all.history_entry(8), None);
     all.clear_history();
-    assert_eq!((all.error_count(), all.history_entry(0)), (0, None));
+    assert_eq!((all.history_len(), all.history_entry(0)), (0, None));
 }
 
 #[test]

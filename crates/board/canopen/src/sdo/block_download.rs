@@ -78,7 +78,7 @@ impl SdoServer {
         let was_waiting = matches!(self.phase, TransferState::Waiting { .. });
         self.phase = TransferState::Idle;
         let entry = find_entry(at)?;
-        if !entry.access.can_write() {
+        if !entry.access.is_writable() {
             return Err(AbortCode::ReadOnly);
         }
         if entry.kind.size().is_some() {

@@ -84,13 +84,13 @@ pub struct Upload {
 }
 
 /// The most bytes of an object for which nothing else is known: above any calibration.
-pub const MAX_UPLOAD_BYTES: u32 = 1 << 16;
+pub const DEFAULT_MAX_UPLOAD_BYTES: u32 = 1 << 16;
 
 impl Upload {
     /// Starts it, with the first request.
     #[must_use]
     pub fn start(at: ObjectAddress) -> (Self, Frame) {
-        Self::start_with_size_limit(at, MAX_UPLOAD_BYTES)
+        Self::start_with_size_limit(at, DEFAULT_MAX_UPLOAD_BYTES)
     }
 
     /// Returns the same of an object that has at most this many bytes.
@@ -365,7 +365,7 @@ mod tests {
             (14, 100, 7, 3, "long"),
             (22, 100, 7, 3, "short"),
             (101, 100, 7, 1, "long"),
-            (u32::MAX, MAX_UPLOAD_BYTES, 7, 1, "long"),
+            (u32::MAX, DEFAULT_MAX_UPLOAD_BYTES, 7, 1, "long"),
             (0, 100, 0, 2, "long"),
             (0, 100, 0, 1, "done"),
         ] {

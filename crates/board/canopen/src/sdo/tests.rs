@@ -134,7 +134,7 @@ fn numbers_go_in_one_frame_with_their_length() {
     }
     assert_eq!(read(&mut server, &mut fake, 0x1017, 0), Ok([0xF4, 0x01].into()));
     let segmented = write(&mut server, &mut fake, (0x1017, 0), Some(2), &[7, 0]);
-    assert_eq!((segmented, fake.period), (Some(segment_response(false)), 7));
+    assert_eq!((segmented, fake.period), (Some(encode_segment_response(false)), 7));
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn a_length_that_is_not_the_announced_one_is_refused() {
 #[test]
 fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
     for (outcome, expected) in [
-        (Ok(()), Some(segment_response(true))),
+        (Ok(()), Some(encode_segment_response(true))),
         (Err(AbortCode::Value), refused(0x2100, 2, AbortCode::Value)),
         (Err(AbortCode::CannotStore), refused(0x2100, 2, AbortCode::CannotStore)),
     ] {

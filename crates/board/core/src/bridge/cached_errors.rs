@@ -1,7 +1,7 @@
 //! The errors of the axes: computed whole once before the first tick, kept from message to message, and added up when
 //! they are requested.
 //!
-//! Once in [`ERROR_UPDATE_PERIOD_MS`](super::ERROR_UPDATE_PERIOD_MS) the errors of an axis are computed when its position is
+//! Once in [`super::ERROR_UPDATE_PERIOD_MS`] the errors of an axis are computed when its position is
 //! received, and what depends on the angles when these are. Further messages are only stored, and the next tick computes the
 //! errors once for all of them; so it does for terms that have changed. A full receive queue costs no more than that, however
 //! many messages it has (`cargo xtask bounds`).
@@ -43,7 +43,7 @@ impl Bridge<'_> {
 
     /// Computes all errors. No tick and no message does: it takes as long as all the messages that change a part.
     pub fn compute_errors(&self, state: &mut BridgeState) {
-        self.compute_angles(state);
+        self.apply_received_angles(state);
         state.errors = CachedErrors::from_position(&self.calibration, &state.heat, &state.place);
         (state.deferred, state.error_sums) = (IndexSet::default(), None);
     }
@@ -53,12 +53,12 @@ impl Bridge<'_> {
     pub(super) fn axis_errors(&self, state: &mut BridgeState) -> ErrorSums {
         match state.error_sums {
             Some(sums) => sums,
-            None => self.sum_errors(state),
+            None => self.refresh_error_sums(state),
         }
     }
 
     #[inline(never)]
-    fn sum_errors(&self, state: &mut BridgeState) -> ErrorSums {
+    fn refresh_error_sums(&self, state: &mut BridgeState) -> ErrorSums {
         if state.deferred != IndexSet::default() {
             self.compute_deferred_errors(state);
         }
@@ -73,7 +73,7 @@ impl Bridge<'_> {
         let mut changed = core::mem::take(&mut state.deferred);
         if changed.contains(ANGLES_INDEX) {
             changed.remove(ANGLES_INDEX);
-            self.compute_angles(state);
+            self.apply_received_angles(state);
         }
         if changed != IndexSet::default() {
             let BridgeState { errors, heat, place, .. } = state;
@@ -82,15 +82,15 @@ impl Bridge<'_> {
     }
 
     fn compute_error_sums(&self, state: &mut BridgeState) -> ErrorSums {
-        state.errors.sum_parts(&self.calibration, &state.place);
+        state.errors.sum_guideway_errors(&self.calibration, &state.place);
         state.errors.errors().clamped_sums(self.largest)
     }
 
-    /// Updates the errors after a change of an input: once in [`ERROR_UPDATE_PERIOD_MS`](super::ERROR_UPDATE_PERIOD_MS)
+    /// Updates the errors after a change of an input: once in [`super::ERROR_UPDATE_PERIOD_MS`]
     /// immediately, else when they are requested.
     // A part of its caller: a call costs 20 instructions, for each message.
     #[inline(always)]
-    pub(super) fn update_or_defer(&self, state: &mut BridgeState, input: ErrorInput) {
+    pub(super) fn update_or_defer_errors(&self, state: &mut BridgeState, input: ErrorInput) {
         let number = match input {
             ErrorInput::Axis(axis) => axis as usize,
             ErrorInput::Angles => ANGLES_INDEX,
@@ -116,7 +116,7 @@ impl Bridge<'_> {
     /// With a volume, or where another input has changed as well, the tick adds the errors up, once for all messages before it.
     /// Else they are added up here, and the tick has none of it.
     // A function of its own in the image: its time is bounded by how often it is called (`cargo xtask bounds`), which
-    // `update_or_defer` limits.
+    // `update_or_defer_errors` limits.
     #[inline(never)]
     fn update_axis_position(&self, state: &mut BridgeState, axis: LinearAxis) {
         let BridgeState { errors, heat, place, .. } = state;

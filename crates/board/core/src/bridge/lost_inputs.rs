@@ -28,7 +28,7 @@ impl Bridge<'_> {
             sensor: self.is_sensor_lost(state, self.are_samples_missing(state)),
             thermometers: state.channels.faulty_channels().intersection(self.needs.watched),
             too_fast: state.channels.uncertain_channels(),
-            place: is_received && !self.has_positions(state),
+            place: is_received && !self.has_cnc_inputs(state),
             conditions: is_received && self.needs.conditions && self.are_conditions_lost(state),
         }
     }

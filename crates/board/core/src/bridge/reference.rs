@@ -6,11 +6,11 @@ use crate::units::FineNanometres;
 impl Bridge<'_> {
     /// The present error becomes the reference, if it is known and no larger than a correction may be; whether it
     /// does.
-    pub(super) fn set_reference(&self, state: &mut BridgeState) -> bool {
+    pub(super) fn try_set_reference(&self, state: &mut BridgeState) -> bool {
         if state.joint.selected == SelectedSource::Missing
             || !self.has_temperatures(state)
             || self.is_temperature_held(state, state.joint.selected)
-            || !self.has_positions(state)
+            || !self.has_cnc_inputs(state)
         {
             return false;
         }

@@ -112,7 +112,7 @@ impl RequiredInputs {
         if let Some(volume) = &calibration.volume {
             LinearAxis::ALL
                 .into_iter()
-                .filter(|axis| volume.needs_position(*axis))
+                .filter(|axis| volume.depends_on_position(*axis))
                 .for_each(&mut position);
         }
         for term in terms() {
@@ -142,13 +142,14 @@ impl RequiredInputs {
                 _ => {}
             }
         }
-        needs.require_temperatures(calibration);
-        needs.rates = core::array::from_fn(|channel| needs.rate_limit(calibration, channel));
+        needs.add_temperature_channels(calibration);
+        needs.rates =
+            core::array::from_fn(|channel| needs.temperature_rate_limit(calibration, channel));
         needs
     }
 
     /// Adds the channels of the laws over temperature, those of the axes and that of the spindle.
-    fn require_temperatures(&mut self, calibration: &Calibration<'_>) {
+    fn add_temperature_channels(&mut self, calibration: &Calibration<'_>) {
         if let Some(temperature) = &calibration.spindle.temperature
             && calibration.spindle.chain.contains(&Some(ElongationSource::Temperature))
         {
@@ -164,7 +165,11 @@ impl RequiredInputs {
     }
 
     /// Returns how fast a channel may change.
-    fn rate_limit(&self, calibration: &Calibration<'_>, channel: usize) -> TemperatureRateLimit {
+    fn temperature_rate_limit(
+        &self,
+        calibration: &Calibration<'_>,
+        channel: usize,
+    ) -> TemperatureRateLimit {
         let stated = calibration.guards.max_rates.get(channel).copied().unwrap_or_default();
         let tenths = match stated {
             0 if self.watched.contains(channel) => DEFAULT_RATE_DECIKELVIN_PER_MIN,

@@ -3,12 +3,12 @@
 //! Each has a zero of its own, so what is compared is how far they have grown since both were there for the
 //! first time. They differ, where one is wrong, in proportion to the growth; so a model no longer fits if it is
 //! off by more than half of the larger growth: then more than half of what it corrects is made up. Below
-//! [`MIN_DISAGREEMENT_NM`] nothing is reported, and not before it has lasted for [`MIN_DISAGREEMENT_STEPS`].
+//! [`DISAGREEMENT_THRESHOLD_NM`] nothing is reported, and not before it has lasted for [`MIN_DISAGREEMENT_STEPS`].
 
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The paper's own sensor law is off by 15.2 µm of 62.8 and is called sufficient.
-pub const MIN_DISAGREEMENT_NM: u32 = 15_000;
+pub const DISAGREEMENT_THRESHOLD_NM: u32 = 15_000;
 /// A minute, in steps of the heat: what lags by less is no fault of a calibration.
 pub const MIN_DISAGREEMENT_STEPS: u16 = 600;
 
@@ -46,7 +46,7 @@ impl SourceAgreementMonitor {
             let other_grown = i64::from(other_now.0).wrapping_sub(other_then.0.into());
             let off = grown.abs_diff(other_grown);
             let larger = grown.unsigned_abs().max(other_grown.unsigned_abs());
-            is_off |= off > MIN_DISAGREEMENT_NM.into() && off > larger / 2;
+            is_off |= off > DISAGREEMENT_THRESHOLD_NM.into() && off > larger / 2;
         }
         self.off_steps = if is_off { self.off_steps.saturating_add(1) } else { 0 };
     }
@@ -104,7 +104,7 @@ mod tests {
     /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
     /// by more is not reported; the growth's share lets it come nearer by that of 30 µm.
     fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
-        let rest_nm = f64::from(MIN_DISAGREEMENT_NM) * (1.0 - 2.0 * share.abs());
+        let rest_nm = f64::from(DISAGREEMENT_THRESHOLD_NM) * (1.0 - 2.0 * share.abs());
         let sigmas = rest_nm / (2_f64.sqrt() * wander_nm);
         // Mills: both tails of a normal number lie below this.
         let tails = (2.0 / core::f64::consts::PI).sqrt() * (-sigmas * sigmas / 2.0).exp() / sigmas;

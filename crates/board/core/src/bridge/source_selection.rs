@@ -3,7 +3,7 @@
 //! Each source has a zero of its own: a sensor's is where it was mounted, a model's where it was
 //! fitted, and they disagree by micrometres. So a source that takes over is shifted by what makes
 //! the elongation go on where it was: from there the spindle grows as this source says. Back on the first
-//! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and reported
+//! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::CompensationLimits), and reported
 //! as an offset on its way. A source
 //! that returns is asked again only once it has been fresh for [`SOURCE_RETURN_DELAY_MS`].
 //!
@@ -74,7 +74,7 @@ impl Bridge<'_> {
 
     #[inline(never)]
     fn reselect_source(&self, state: &mut BridgeState, elapsed_ms: u32) -> SelectedSource {
-        let best = self.first_fresh_source(state);
+        let best = self.best_usable_source(state);
         let present = state.joint.selected;
         let stays = present.source().is_some_and(|source| self.is_source_fresh(state, source));
         let returned_ms = if stays && best != present && state.joint.is_anchored {
@@ -110,7 +110,7 @@ impl Bridge<'_> {
                 };
                 // A source that is still there, and only gives way, is right to the last.
                 let stays =
-                    self.is_source_fresh(state, last) && self.is_source_available(state, last);
+                    self.is_source_fresh(state, last) && self.is_source_current(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
                 let (joins_at, raw_value) = match oldest.filter(|_| !stays) {
                     // Where the two were at that time: it shows how the spindle has grown since.
@@ -139,7 +139,7 @@ impl Bridge<'_> {
     }
 
     /// A step of the heat: on the first source the shift is taken back.
-    pub(super) fn decay_source_shift(&self, state: &mut BridgeState) {
+    pub(super) fn step_source_transfer(&self, state: &mut BridgeState) {
         if let SelectedSource::Source(source) = state.joint.selected {
             let raw = ElongationSource::ALL.map(|source| {
                 self.is_source_fresh(state, source)
@@ -148,7 +148,7 @@ impl Bridge<'_> {
             let now = ElongationSample { elongation: self.elongation(state), raw };
             // A thermometer that says nothing new may be about to be given up: the next source
             // is to show what the spindle grows meanwhile.
-            if self.is_source_available(state, source) {
+            if self.is_source_current(state, source) {
                 let [_, second, third, last] = state.joint.before;
                 state.joint.before = [second, third, last, Some(now)];
             }
@@ -206,8 +206,8 @@ impl Bridge<'_> {
 
     /// Returns the first source that is fresh; without one the spindle's temperature, if it is held.
     #[inline(never)]
-    fn first_fresh_source(&self, state: &BridgeState) -> SelectedSource {
-        match self.first_available_source(state) {
+    fn best_usable_source(&self, state: &BridgeState) -> SelectedSource {
+        match self.first_fresh_in_chain(state) {
             SelectedSource::Missing
                 if self.is_spindle_temperature_held(state)
                     && self
@@ -223,7 +223,7 @@ impl Bridge<'_> {
         }
     }
 
-    fn first_available_source(&self, state: &BridgeState) -> SelectedSource {
+    fn first_fresh_in_chain(&self, state: &BridgeState) -> SelectedSource {
         let mut chosen = SelectedSource::Unneeded;
         for source in self.calibration.spindle.chain.into_iter().flatten() {
             if self.is_source_fresh(state, source) && self.has_common_zero(state, source) {
@@ -261,7 +261,7 @@ impl Bridge<'_> {
     }
 
     /// Returns whether what a source says is of this step of the heat.
-    fn is_source_available(&self, state: &BridgeState, source: ElongationSource) -> bool {
+    fn is_source_current(&self, state: &BridgeState, source: ElongationSource) -> bool {
         let temperature = &self.calibration.spindle.temperature;
         source != ElongationSource::Temperature
             || temperature.is_none_or(|temperature| {

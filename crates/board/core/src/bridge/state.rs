@@ -8,12 +8,12 @@ use crate::{
     dead_band_filter::DeadBandFilter,
     design_parameters::TEMPERATURE_CHANNEL_COUNT,
     index_set::IndexSet,
-    learned::LearnedChanges,
+    learned_changes::LearnedChanges,
     limits::AppliedOffset,
     machine_position::MachinePosition,
-    run_out::RunOutMonitor,
     run_out_filter::RunOutFilter,
-    sensor_health::{NoiseStatistics, SensorHealth},
+    run_out_monitor::RunOutMonitor,
+    sensor_health::{NoiseStatistics, SensorHealthMonitor},
     supply_monitor::SupplyScale,
     temperature_channels::{RawTemperatures, TemperatureChannels},
     thermal_state::MachineThermalState,
@@ -31,7 +31,7 @@ pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
 /// By this much may two positions lie nearer together in time than they were sent: a serial adapter hands on what
 /// it has every 16 ms.
-pub const POSITION_JITTER_MS: u32 = 20;
+pub const MAX_POSITION_JITTER_MS: u32 = 20;
 /// After a jump this many more have to follow from it before they are believed.
 const MIN_CONFIRMING_POSITIONS: u8 = 3;
 /// A jump is reported for this time: many turns of what looks for it, so that it does not flicker.
@@ -50,7 +50,7 @@ pub(super) enum OffsetMode {
 #[derive(Clone, Debug)]
 pub struct BridgeState {
     pub(super) now: TimestampMs,
-    pub(super) health: SensorHealth,
+    pub(super) health: SensorHealthMonitor,
     pub(super) filter: RunOutFilter,
     pub(super) run_out: RunOutMonitor,
     pub(super) control: ReceivedMessage<Control>,
@@ -208,8 +208,8 @@ impl ReportedPosition {
         is_first: bool,
         rapid: u32,
     ) -> bool {
-        let reach =
-            rapid.saturating_mul(now.duration_ms_since(self.at).saturating_add(POSITION_JITTER_MS));
+        let reach = rapid
+            .saturating_mul(now.duration_ms_since(self.at).saturating_add(MAX_POSITION_JITTER_MS));
         let jumps = !is_first && self.position.0.abs_diff(position.0) > reach;
         let caveat =
             if jumps { MIN_CONFIRMING_POSITIONS } else { self.uncertainty_ticks.saturating_sub(1) };
@@ -318,7 +318,7 @@ impl BridgeState {
 
     /// Returns whether it is not known how warm the machine was before the start.
     #[must_use]
-    pub fn is_heat_unknown(&self) -> bool {
+    pub fn is_thermal_state_unknown(&self) -> bool {
         self.heat.is_unknown()
     }
 
@@ -395,7 +395,7 @@ impl BridgeState {
     }
 
     /// Receives the angles of the head. Returns whether they have changed. The first angles get the tool direction `first`, all
-    /// others keep the direction before, until it is set ([`Self::tool_mut`]).
+    /// others keep the direction before, until it is set ([`Self::tool_orientation_mut`]).
     pub(super) fn receive_angles(
         &mut self,
         angles: [MicroDegrees; 2],
@@ -415,7 +415,9 @@ impl BridgeState {
 
     /// Returns the angles of the head that were last received, and where they point the tool.
     #[inline]
-    pub(super) fn tool_mut(&mut self) -> Option<&mut ([MicroDegrees; 2], ToolDirection)> {
+    pub(super) fn tool_orientation_mut(
+        &mut self,
+    ) -> Option<&mut ([MicroDegrees; 2], ToolDirection)> {
         self.tool.value.as_mut()
     }
 

@@ -66,7 +66,7 @@ pub struct ToolTable<'a> {
 
 impl ToolTable<'_> {
     /// Returns the number and m of each tool.
-    pub fn tools(&self) -> impl Iterator<Item = (u32, i32)> {
+    pub fn tool_levels(&self) -> impl Iterator<Item = (u32, i32)> {
         self.levels.iter().map(|&[a, b, c, d, e, f, g, h]| {
             (u32::from_le_bytes([a, b, c, d]), i32::from_le_bytes([e, f, g, h]))
         })
@@ -76,7 +76,7 @@ impl ToolTable<'_> {
     #[must_use]
     pub fn level(&self, conditions: Option<MachineConditions>) -> i32 {
         let tool = conditions.map(|conditions| u32::from(conditions.tool));
-        let found = self.tools().find(|(number, _)| Some(*number) == tool);
+        let found = self.tool_levels().find(|(number, _)| Some(*number) == tool);
         found.map_or(self.other, |(_, level)| level)
     }
 }
@@ -103,7 +103,7 @@ pub struct ConditionLevels {
 impl ConditionLevels {
     /// Returns s in parts of [`UNIT_STEP`] while the CNC says this.
     #[must_use]
-    pub fn input(&self, conditions: Option<MachineConditions>) -> i32 {
+    pub fn lag_input(&self, conditions: Option<MachineConditions>) -> i32 {
         if conditions.map_or(self.default, |conditions| conditions.is_set(self.bit)) {
             UNIT_STEP
         } else {

@@ -227,7 +227,7 @@ impl Effect<'_> {
             Self::Table(pitch) => pitch.error_at(of(own), reversal()),
             Self::Curve { axis, curve } => curve.evaluate(of(*axis)),
             Self::Wave { turns, phase, amplitude } => {
-                inside(compute_sine_wave(*turns, *phase, *amplitude, of(own)))
+                inside(evaluate_sine(*turns, *phase, *amplitude, of(own)))
             }
             Self::TiltLine(tilt) => {
                 let error = tilt.angle.error_over_travel(Position(0), of(tilt.along));
@@ -245,7 +245,7 @@ impl Effect<'_> {
 
 /// a·sin(2π·(P·turns + φ)); whole turns wrap away.
 #[allow(clippy::cast_possible_truncation, reason = "a word of two, and less than 2³¹")]
-fn compute_sine_wave(
+fn evaluate_sine(
     turns: u64,
     phase: u32,
     amplitude: FineNanometres,

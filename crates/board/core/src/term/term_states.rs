@@ -120,7 +120,7 @@ impl TermStates {
                 if let (Some(conditions), Some(level)) =
                     (self.conditions, self.levels.get_mut(index))
                 {
-                    let input = it.input(conditions);
+                    let input = it.lag_input(conditions);
                     let lag = lag.get_or_insert(Lag::settled_at(input));
                     lag.step(input, it.smoothing);
                     *level = it.level(lag.value());
@@ -138,7 +138,7 @@ impl TermStates {
             match &term.effect {
                 Effect::Tool(tools) => *level = tools.level(conditions),
                 Effect::Condition(it) if it.smoothing == SmoothingFactor::NO_LAG => {
-                    *level = it.level(it.input(conditions));
+                    *level = it.level(it.lag_input(conditions));
                 }
                 _ => {}
             }
@@ -213,7 +213,7 @@ impl TermStates {
     pub fn store_lags(&self, terms: &Terms<'_>, memory: &mut RetainedLags) {
         for (lag, key) in self.lags.iter().zip(lag_keys(terms)) {
             if let (Some(lag), Some(key)) = (*lag, key) {
-                memory.store(RetainedLag { key, lag, running_ms: 0 });
+                memory.insert(RetainedLag { key, lag, running_ms: 0 });
             }
         }
     }

@@ -17,7 +17,7 @@ fn drawn<'a>(seed: &mut u64, curve: Curve<'a>, most: i32) -> VolumetricErrorMode
     let mut vector = |most: i32| [number(most), number(most), number(most)];
     let arm = most.min(MAX_LEVER_ARM);
     let order = [LinearAxis::Z, LinearAxis::X, LinearAxis::Y];
-    let line = |axis, moves_workpiece, [point, shift, tilt]: [Vector; 3]| RotaryLocation {
+    let line = |axis, moves_workpiece, [point, shift, tilt]: [Vector; 3]| RotaryAxisLocation {
         axis,
         moves_workpiece,
         point: point.map(Position),
@@ -71,8 +71,8 @@ fn what_is_kept_is_what_is_computed_anew_wherever_the_axes_go() {
             if next_random(&mut seed).is_multiple_of(3) {
                 continue;
             }
-            cached.sum_parts(&calibration, &place);
-            assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
+            cached.sum_guideway_errors(&calibration, &place);
+            assert_eq!(*cached.errors(), calibration.compute_axis_errors(&heat, &place));
             let outside = place.position[0].0.abs() > 900;
             assert_eq!(cached.errors().outside, outside, "{place:?}");
         }
@@ -107,7 +107,7 @@ fn the_extremes_saturate_and_never_wrap() {
             angles: [pick(3), pick(4)].map(MicroDegrees),
             ..MachinePosition::default()
         };
-        let _ = calibration.axis_errors(&MachineThermalState::default(), &place);
+        let _ = calibration.compute_axis_errors(&MachineThermalState::default(), &place);
     }
 }
 
@@ -142,7 +142,10 @@ fn only_what_changes_an_error_has_to_be_known() {
         rotary: [None; 2],
     };
     let needed = |volume: &VolumetricErrorModel<'_>| {
-        (LinearAxis::ALL.map(|axis| volume.needs_position(axis)), volume.depends_on_rotary_angles())
+        (
+            LinearAxis::ALL.map(|axis| volume.depends_on_position(axis)),
+            volume.depends_on_rotary_angles(),
+        )
     };
     assert_eq!(needed(&volume), ([false; 3], false));
     // EAY: Y itself, and Z as its lever; EBZ: Z alone.
@@ -151,7 +154,7 @@ fn only_what_changes_an_error_has_to_be_known() {
     volume.guides = Default::default();
     volume.guides[2].about[1].slope = Gradient(1);
     assert_eq!(needed(&volume), ([false, false, true], false));
-    let line = RotaryLocation {
+    let line = RotaryAxisLocation {
         axis: RotaryAxis::A,
         moves_workpiece: false,
         point: [Position(0); 3],
@@ -163,12 +166,12 @@ fn only_what_changes_an_error_has_to_be_known() {
     assert_eq!(needed(&volume), ([false, false, true], true));
     volume.guides = Default::default();
     assert_eq!(needed(&volume), ([false; 3], false));
-    let table = RotaryLocation { moves_workpiece: true, shift: [FineNanometres(1); 3], ..line };
+    let table = RotaryAxisLocation { moves_workpiece: true, shift: [FineNanometres(1); 3], ..line };
     volume.rotary = [Some(table), None];
     assert_eq!(needed(&volume), ([false; 3], false));
     volume.rotary = [Some(table), Some(table)];
     assert_eq!(needed(&volume), ([false; 3], true));
-    volume.rotary[0] = Some(RotaryLocation {
+    volume.rotary[0] = Some(RotaryAxisLocation {
         tilt: [FineNanometres(1), FineNanometres(0), FineNanometres(0)],
         ..table
     });

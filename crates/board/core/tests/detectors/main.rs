@@ -13,8 +13,8 @@ use std::{env, f64::consts::TAU, thread};
 
 use trueup_core::{
     design_parameters::CODES_PER_TICK,
-    run_out::{MIN_BASELINE_WINDOWS, RUN_OUT_WINDOW_MS, RunOutMonitor},
-    sensor_health::SensorHealth,
+    run_out_monitor::{MIN_BASELINE_WINDOWS, RUN_OUT_WINDOW_MS, RunOutMonitor},
+    sensor_health::SensorHealthMonitor,
     units::{AdcCode, READING_UNITS_PER_CODE, Rpm, SensorReading},
 };
 
@@ -110,13 +110,13 @@ impl Sensor {
 
 /// Alarms of a sensor that is well, over this many hours.
 fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
-    let (mut sensor, mut health) = (Sensor::new(noise, seed), SensorHealth::default());
+    let (mut sensor, mut health) = (Sensor::new(noise, seed), SensorHealthMonitor::default());
     let mut run_out = RunOutMonitor::default();
     let (mut was_well, mut was_odd) = (false, false);
     let mut alarms = 0;
     for ms in 0..(hours * 3.6e6) as u64 {
         let block = sensor.block();
-        let is_well = health.check_codes(&block, sensor.turns).is_some();
+        let is_well = health.check_and_clean_codes(&block, sensor.turns).is_some();
         match sensor.speed() {
             Rpm(0) => run_out.record_standstill(),
             speed => run_out.receive(&block, sensor.reading(), speed),
@@ -173,11 +173,11 @@ struct Detector {
     bend: fn(AdcCode, &mut SampleFault) -> AdcCode,
     /// Whether the spindle has to turn for it to be judged, where noise is below 0.3 codes.
     needs_life: bool,
-    is_reported: fn(&SensorHealth) -> bool,
+    is_reported: fn(&SensorHealthMonitor) -> bool,
 }
 
 /// Not at all: the codes are not believed.
-const BY_ITS_CODES: fn(&SensorHealth) -> bool = |_| false;
+const BY_ITS_CODES: fn(&SensorHealthMonitor) -> bool = |_| false;
 
 /// The state of a fault.
 struct SampleFault {
@@ -207,7 +207,7 @@ const DETECTORS: [Detector; 6] = [
         found_within_ms: 1,
         bend: |code, fault| AdcCode(code.0.saturating_add_signed(fault.by)),
         needs_life: false,
-        is_reported: SensorHealth::has_jumped,
+        is_reported: SensorHealthMonitor::has_jumped,
     },
     Detector {
         // Even ones over the whole range, as of a converter that is lost.
@@ -249,7 +249,7 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         let mut sensor = Sensor::new(noise, (seed << 32) + u64::from(draw));
         sensor.level = random.between(100.0, 3_900.0);
         sensor.change();
-        let mut health = SensorHealth::default();
+        let mut health = SensorHealthMonitor::default();
         // A sensor of little noise has to have been seen for a while: 0.3 codes are in balance 0.73 to 1.
         let lived = random.between(1_800.0, 4_000.0) as u64;
         sensor.next_change = u64::MAX;
@@ -263,11 +263,12 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         for _ in 0..lived {
             let block = sensor.block();
             fault.stuck = block[CODES_PER_TICK - 1];
-            health.check_codes(&block, sensor.turns);
+            health.check_and_clean_codes(&block, sensor.turns);
         }
         let ms = (1..=detector.found_within_ms).find(|_| {
             let block = sensor.block().map(|code| (detector.bend)(code, &mut fault));
-            health.check_codes(&block, sensor.turns).is_none() || (detector.is_reported)(&health)
+            health.check_and_clean_codes(&block, sensor.turns).is_none()
+                || (detector.is_reported)(&health)
         });
         found += u32::from(ms.is_some());
     }
@@ -284,9 +285,9 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         let mut sensor = Sensor::new(noise, (seed << 32) + u64::from(draw));
         sensor.change();
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
-        let mut health = SensorHealth::default();
+        let mut health = SensorHealthMonitor::default();
         for _ in 0..500 {
-            health.check_codes(&sensor.block(), sensor.turns);
+            health.check_and_clean_codes(&sensor.block(), sensor.turns);
         }
         let mut block = sensor.block();
         let whole = block;
@@ -296,7 +297,7 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         for code in &mut block[first..first + length] {
             *code = AdcCode(code.0.saturating_add_signed(by as i16));
         }
-        let passed = health.check_codes(&block, sensor.turns).copied();
+        let passed = health.check_and_clean_codes(&block, sensor.turns).copied();
         let is_mended = passed.is_some_and(|passed| {
             passed.iter().zip(&whole).all(|(a, b)| a.0.abs_diff(b.0) <= 32) && !health.has_jumped()
         });

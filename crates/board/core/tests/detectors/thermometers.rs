@@ -130,7 +130,7 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
         let mut channel = TemperatureChannel::default();
         let mut read = |channel: &mut TemperatureChannel, celsius: f64| {
             let reading = (celsius + noise * random.normal()) * f64::from(Temperature::PER_KELVIN);
-            channel.receive_rate_limited_reading(Ok(Temperature(reading as i32)), &limit, false);
+            channel.receive_reading_with_limit(Ok(Temperature(reading as i32)), &limit, false);
             channel.is_uncertain()
         };
         (0..100).for_each(|_| _ = read(&mut channel, 40.0));
@@ -176,7 +176,7 @@ impl Thermometers {
                 *last = exact.round() * STEP_C;
             }
             let reading = *last * f64::from(Temperature::PER_KELVIN);
-            channels.receive_rate_limited_reading(
+            channels.receive_reading_with_limit(
                 number,
                 Ok(Temperature(reading as i32)),
                 &default_limit(),

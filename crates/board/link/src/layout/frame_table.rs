@@ -118,7 +118,7 @@ impl SignalSpec {
         Self { multiplexing: Multiplexing::Item(item), ..self }
     }
 
-    const fn with_selector_role(self) -> Self {
+    const fn with_multiplexer_role(self) -> Self {
         Self { multiplexing: Multiplexing::Selector, ..self }
     }
 
@@ -374,7 +374,7 @@ frames! {
     }
     STATUS_ID = 0x381: "Status", 8, Bridge, STATUS_PERIOD_MS, PROTECTION_SIGNALS,
         "Status of the bridge, ten frames a second: Item states what a frame is about, each of the eleven in turn, so each comes every 1.1 s. It changes no offset; a CNC may leave it alone." {
-        "Item" as STATUS_ITEM: unsigned_signal(24, 4).with_range(0, MAX_ITEM_NUMBER as i32).with_selector_role(),
+        "Item" as STATUS_ITEM: unsigned_signal(24, 4).with_range(0, MAX_ITEM_NUMBER as i32).with_multiplexer_role(),
             "What this frame is about: 0 to 3 two temperatures, 4 the elongation, 5 and 6 the frames of the CNC, 7 \
              the board, 8 its state, 9 its last reset, 10 its calibration, 11 to 13 the offset of X, Y, Z as \
              constant and slope.";

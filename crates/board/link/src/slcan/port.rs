@@ -23,7 +23,7 @@ use crate::frame::Frame;
 
 /// Bytes that wait to be transmitted. One cycle of offsets is 44, so this is 5 ms of traffic: older
 /// offsets are worth less than the delay they would cause.
-pub const TX_CAPACITY: usize = 256;
+pub const TX_CAPACITY_BYTES: usize = 256;
 
 /// Room that frames leave for answers, so that a client is answered while frames pile up.
 const REPLY_RESERVE_BYTES: usize = 32;
@@ -64,7 +64,7 @@ pub struct Port {
     channel: ChannelState,
     lines: LineSplitter,
     /// The oldest first.
-    tx: Vec<u8, TX_CAPACITY>,
+    tx: Vec<u8, TX_CAPACITY_BYTES>,
     counters: PortCounters,
     last_error: Option<SlcanError>,
 }
@@ -131,7 +131,7 @@ impl Port {
         }
         for frame in frames {
             let (line, len) = encode_line_bytes(frame);
-            self.queue(line.get(..len).unwrap_or_default());
+            self.queue_bytes(line.get(..len).unwrap_or_default());
         }
         true
     }
@@ -213,17 +213,17 @@ impl Port {
         if bytes.len() > self.remaining_capacity() {
             self.counters.dropped = self.counters.dropped.saturating_add(1);
         } else {
-            self.queue(bytes);
+            self.queue_bytes(bytes);
         }
     }
 
     fn remaining_capacity(&self) -> usize {
-        TX_CAPACITY.saturating_sub(self.tx.len())
+        TX_CAPACITY_BYTES.saturating_sub(self.tx.len())
     }
 
     /// The caller has made sure of the room.
     // Byte by byte: a copy of a length that is not known takes longer than the few bytes of a line.
-    fn queue(&mut self, bytes: &[u8]) {
+    fn queue_bytes(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let queued = self.tx.push(*byte);
             debug_assert!(queued.is_ok());
@@ -255,23 +255,23 @@ impl Request {
             b'C' => channel = ChannelState::Closed,
             b't' => frame = Some(fields.parse_frame()?),
             b'T' => {
-                fields.parse_extended_id()?;
+                fields.expect_extended_id()?;
                 fields.parse_data(&mut [0; Frame::MAX_LEN])?;
             }
             b'r' => {
-                fields.parse_standard_id()?;
+                fields.expect_standard_id()?;
                 fields.parse_length()?;
             }
             b'R' => {
-                fields.parse_extended_id()?;
+                fields.expect_extended_id()?;
                 fields.parse_length()?;
             }
-            b'S' => fields.parse_parameter(command, b'0'..=b'8')?,
-            b'Z' => fields.parse_parameter(command, b'0'..=b'0')?,
+            b'S' => fields.expect_parameter(command, b'0'..=b'8')?,
+            b'Z' => fields.expect_parameter(command, b'0'..=b'0')?,
             b'M' | b'm' => {
                 fields.parse_hex(8)?;
             }
-            b's' => fields.parse_hex_to_end()?,
+            b's' => fields.expect_hex_to_end()?,
             b'V' | b'N' | b'F' => {}
             _ => return Err(SlcanError::Command(command)),
         }
@@ -284,15 +284,15 @@ impl Request {
 }
 
 impl LineParser<'_> {
-    fn parse_standard_id(&mut self) -> Result<(), SlcanError> {
-        self.parse_id(3, u32::from(Frame::MAX_ID))
+    fn expect_standard_id(&mut self) -> Result<(), SlcanError> {
+        self.expect_id(3, u32::from(Frame::MAX_ID))
     }
 
-    fn parse_extended_id(&mut self) -> Result<(), SlcanError> {
-        self.parse_id(8, 0x1FFF_FFFF)
+    fn expect_extended_id(&mut self) -> Result<(), SlcanError> {
+        self.expect_id(8, 0x1FFF_FFFF)
     }
 
-    fn parse_id(&mut self, digits: u8, max: u32) -> Result<(), SlcanError> {
+    fn expect_id(&mut self, digits: u8, max: u32) -> Result<(), SlcanError> {
         let id = self.parse_hex(digits)?;
         if id > max {
             return Err(SlcanError::Identifier(id));
@@ -301,7 +301,7 @@ impl LineParser<'_> {
     }
 
     /// One character out of `allowed`.
-    fn parse_parameter(
+    fn expect_parameter(
         &mut self,
         command: u8,
         allowed: core::ops::RangeInclusive<u8>,
@@ -314,7 +314,7 @@ impl LineParser<'_> {
     }
 
     /// At least one hexadecimal digit, and nothing else: adapters differ in how many.
-    fn parse_hex_to_end(&mut self) -> Result<(), SlcanError> {
+    fn expect_hex_to_end(&mut self) -> Result<(), SlcanError> {
         self.parse_hex(1)?;
         while self.expect_end().is_err() {
             self.parse_hex(1)?;

@@ -53,7 +53,7 @@ impl Node<'_> {
         let open = CONFIRMABLE_FAULTS.into_iter().chain([Fault::HeatUnknown]);
         let first = open.into_iter().find(|question| self.questions.contains(*question));
         if let Some(question) = first {
-            self.questions = self.questions.without(question);
+            self.questions = self.questions.without_fault(question);
             match (question, &self.bridge) {
                 (Fault::HeatUnknown, Some(bridge)) => bridge.confirm_cold(&mut self.state),
                 (Fault::ReferenceOffered, _) => self.accept_reference_offer(),

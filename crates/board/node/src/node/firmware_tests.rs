@@ -48,19 +48,19 @@ fn number(node: &Node<'_>, what: O) -> u32 {
     }
 }
 
-fn header() -> [u8; FIRMWARE_HEADER_BYTES] {
+fn firmware_header() -> [u8; FIRMWARE_HEADER_BYTES] {
     core::array::from_fn(|at| u8::try_from(at % 251).expect("below 251"))
 }
 
 /// Writes the header as a master does; the board takes it.
 fn begin(node: &mut Node<'_>) {
     node.open(O::FirmwareHeader, Some(512)).expect("allowed");
-    for segment in header().chunks(7) {
+    for segment in firmware_header().chunks(7) {
         node.append(O::FirmwareHeader, segment).expect("room");
         assert_eq!(take_update_step(node), None, "not before all of it has come");
     }
     node.close(O::FirmwareHeader).expect("whole");
-    assert_eq!(take_update_step(node), Some((UpdateStep::Begin, header().to_vec())));
+    assert_eq!(take_update_step(node), Some((UpdateStep::Begin, firmware_header().to_vec())));
     assert_eq!(take_update_step(node), None, "one at a time");
     node.finish_firmware_step(UpdateStep::Begin, Ok(()));
 }
@@ -79,7 +79,7 @@ fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
     let mut node = node_in_service(&mut buffer);
     assert_eq!([O::FirmwareReceived, O::FirmwareTag].map(|object| number(&node, object)), [0; 2]);
     begin(&mut node);
-    let tag = header().last_chunk().map(|bytes| u32::from_le_bytes(*bytes));
+    let tag = firmware_header().last_chunk().map(|bytes| u32::from_le_bytes(*bytes));
     assert_eq!(
         (number(&node, O::FirmwareReceived), Some(number(&node, O::FirmwareTag))),
         (512, tag)

@@ -7,7 +7,7 @@
 //! reported until `Control` comes without any; the frame is a sign of life all the same. A zero is always right:
 //! of another calibration nothing is in force, because a new one begins with a start.
 
-use trueup_core::learned::{LearnedChangeRequest, calibration_id};
+use trueup_core::learned_changes::{LearnedChangeRequest, calibration_id};
 use trueup_store::calibration::calibration_crc;
 
 use super::Node;

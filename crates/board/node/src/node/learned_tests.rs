@@ -9,7 +9,7 @@ use trueup_canopen::{
 use trueup_core::{
     cnc::Control,
     design_parameters::CODES_PER_TICK,
-    learned::{LEARNED_PART_COUNT, LearnedChangeRequest, LearnedLimits, calibration_id},
+    learned_changes::{LEARNED_PART_COUNT, LearnedChangeRequest, LearnedLimits, calibration_id},
     units::AdcCode,
 };
 use trueup_store::calibration::{MAX_BLOB_SIZE, encode};
@@ -27,10 +27,10 @@ struct LearnedChangeRig {
 
 impl LearnedChangeRig {
     fn new() -> Self {
-        Self::with(LEARNED_LIMITS)
+        Self::with_limits(LEARNED_LIMITS)
     }
 
-    fn with(caps: LearnedLimits) -> Self {
+    fn with_limits(caps: LearnedLimits) -> Self {
         let mut calibration = sensor_only_calibration();
         calibration.limits.learned = caps;
         calibration.limits.slew_nm_per_s = 1_000_000;
@@ -80,7 +80,7 @@ impl LearnedChangeRig {
         all
     }
 
-    fn apply_change(&mut self, change: LearnedChangeRequest, count: usize) -> Vec<i32> {
+    fn send_change_request(&mut self, change: LearnedChangeRequest, count: usize) -> Vec<i32> {
         self.send_control_frames(Control { learned: change, ..Control::ENGAGED }, count)
     }
 
@@ -103,7 +103,7 @@ fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step
     // 0.1 % of 717.312 µm are 717 nm; and 500 nm of zero. A hundred units are 10 s.
     let mut all = Vec::new();
     for part in [rig.change_request(1, 100), rig.change_request(5, 500)] {
-        all.extend(rig.apply_change(part, 1));
+        all.extend(rig.send_change_request(part, 1));
     }
     all.extend(rig.send_control_frames(Control::ENGAGED, 600));
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 120], false));
@@ -111,8 +111,8 @@ fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step
     let largest = all.windows(2).map(|pair| (pair[1] - pair[0]).abs()).max();
     assert!(largest <= Some(8), "a unit of 717 µm is 7.2 nm: {largest:?}");
     // Taken back in the same way.
-    rig.apply_change(rig.change_request(1, 0), 1);
-    rig.apply_change(rig.change_request(5, 0), 1);
+    rig.send_change_request(rig.change_request(1, 0), 1);
+    rig.send_change_request(rig.change_request(5, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 700);
     assert_eq!((rig.now(), rig.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
 }
@@ -131,7 +131,7 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reporte
         LearnedChangeRequest { calibration: good.calibration ^ 0x8000, ..good },
     ] {
         let mut rig = LearnedChangeRig::new_engaged();
-        rig.apply_change(bad, 50);
+        rig.send_change_request(bad, 50);
         assert_eq!(
             (rig.now(), rig.z_offset_nm()),
             ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM),
@@ -144,7 +144,7 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reporte
             "it is a sign of life all the same"
         );
         // Told until nothing of the kind is asked for, and good ones count meanwhile.
-        rig.apply_change(good, 10);
+        rig.send_change_request(good, 10);
         assert!(rig.is_refused() && rig.now()[0] > 0);
         rig.send_control_frames(Control::ENGAGED, 1);
         assert!(!rig.is_refused());
@@ -154,14 +154,14 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reporte
 #[test]
 fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_nothing_back() {
     let mut rig = LearnedChangeRig::new_engaged();
-    rig.apply_change(rig.change_request(1, 100), 1);
+    rig.send_change_request(rig.change_request(1, 100), 1);
     let ours = rig.calibration;
     for (part, calibration) in (1..=5).map(|part| (part, ours ^ 1)) {
-        rig.apply_change(LearnedChangeRequest { part, amount: 0, calibration }, 100);
+        rig.send_change_request(LearnedChangeRequest { part, amount: 0, calibration }, 100);
     }
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 0], false));
     for part in 1..=5 {
-        rig.apply_change(rig.change_request(part, 0), 100);
+        rig.send_change_request(rig.change_request(part, 0), 100);
     }
     assert_eq!(
         (rig.now(), rig.is_refused()),
@@ -234,15 +234,15 @@ fn of_two_masters_on_one_line_neither_is_believed() {
 #[test]
 fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
     let mut rig = LearnedChangeRig::new_engaged();
-    rig.apply_change(rig.change_request(1, 1_000), 1);
-    rig.apply_change(rig.change_request(1, 0), 1);
+    rig.send_change_request(rig.change_request(1, 1_000), 1);
+    rig.send_change_request(rig.change_request(1, 0), 1);
     rig.send_control_frames(Control::ENGAGED, 50);
     assert_eq!((rig.now(), rig.z_offset_nm()), ([0; LEARNED_PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
-    let mut rig = LearnedChangeRig::with(LearnedLimits { axes: 20, ..LEARNED_LIMITS });
+    let mut rig = LearnedChangeRig::with_limits(LearnedLimits { axes: 20, ..LEARNED_LIMITS });
     rig.send_control_frames(Control::REFERENCED, 3);
     for (part, amount) in [(1, -1), (2, 2), (3, -3), (4, 4), (5, -5)] {
         rig.send_control_frames(

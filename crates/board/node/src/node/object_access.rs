@@ -66,7 +66,7 @@ impl Node<'_> {
             EntryContent::SerialNumber => self.board.serial_number,
             EntryContent::ErrorRegister => self.faults(&self.last).error_register().into(),
             EntryContent::ErrorCount => {
-                u32::try_from(self.emergencies.error_count()).unwrap_or(u32::MAX)
+                u32::try_from(self.emergencies.history_len()).unwrap_or(u32::MAX)
             }
             EntryContent::Error(number) => {
                 self.emergencies.history_entry(number).ok_or(AbortCode::NoData)?
@@ -135,7 +135,7 @@ impl Node<'_> {
             EntryContent::ReferenceUtc => {
                 self.offer.reference_write().map_or(0, |write| write.utc_s)
             }
-            EntryContent::ReferenceOrigin => self.offer.origin().into(),
+            EntryContent::ReferenceOrigin => self.offer.origin_code().into(),
             EntryContent::ReferenceAge => self.reference_age_s().unwrap_or(u32::MAX),
             EntryContent::FirmwareReceived
             | EntryContent::FirmwareTag

@@ -56,12 +56,12 @@ impl OfferedReference {
     }
 
     /// Kind and line of that write, as the log has them; 0: it is not known.
-    pub fn origin(&self) -> u16 {
+    pub(crate) fn origin_code(&self) -> u16 {
         self.taken.map_or(0, |write| u16::from_le_bytes([write.what as u8, write.origin as u8]))
     }
 }
 
-impl Node<'_> {
+impl<'a> Node<'a> {
     /// Returns what came of the last `Zero`, once.
     pub fn take_zero_outcome(&mut self) -> Option<ZeroOutcome> {
         self.zero.take()
@@ -129,7 +129,7 @@ impl Node<'_> {
         let taken = (what == WriteKind::Zeroed).then_some(write);
         self.offer =
             OfferedReference { taken, was_now: true, is_new: true, ..OfferedReference::default() };
-        self.questions = self.questions.without(Fault::ReferenceOffered);
+        self.questions = self.questions.without_fault(Fault::ReferenceOffered);
         self.update_inhibition();
     }
 
@@ -154,7 +154,7 @@ impl Node<'_> {
             self.end_reference_offer(
                 ReferenceErrors::default(),
                 WriteKind::Forgotten,
-                self.log.sender(),
+                self.log.request_interface(),
             );
         }
     }
@@ -185,7 +185,7 @@ impl Node<'_> {
         let write = self.new_write_record(
             WriteKind::Offered,
             elongation.0.cast_unsigned(),
-            self.log.sender(),
+            self.log.request_interface(),
         );
         self.push_write(write);
         self.state.set_reference(ReferenceErrors::default());
@@ -219,9 +219,9 @@ impl Node<'_> {
         Ok(())
     }
 
-    /// Returns whether the board is to store its running calibration anew, once; [`Self::finish_calibration_drop`] is to follow.
-    pub fn take_calibration_drop(&mut self) -> bool {
-        core::mem::take(&mut self.drops_new)
+    /// Returns the running calibration where it is to be stored anew, once; [`Self::finish_calibration_drop`] is to follow.
+    pub fn take_calibration_to_restore(&mut self) -> Option<&'a [u8]> {
+        core::mem::take(&mut self.drops_new).then_some(self.blob)
     }
 
     /// Whether it has: then the calibration for the next start is the running one again.
@@ -230,7 +230,7 @@ impl Node<'_> {
             self.set_fault(Fault::Store);
             return;
         }
-        self.log_write(WriteKind::Cancelled, self.new_crc, self.log.sender());
+        self.log_write(WriteKind::Cancelled, self.new_crc, self.log.request_interface());
         self.new_crc = 0;
         // It is stored, so nothing looks at it.
         self.slot.open(None).ok();

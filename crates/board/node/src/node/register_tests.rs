@@ -20,7 +20,7 @@ use trueup_modbus::{
 use super::*;
 use crate::node::sensor_only_calibration;
 
-fn block(control: Control, counter: u16) -> holding_block::HoldingRegisters {
+fn control_block(control: Control, counter: u16) -> holding_block::HoldingRegisters {
     CncData { control, ..CncData::default() }.encode(counter)
 }
 
@@ -37,7 +37,7 @@ fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
 fn send_control_blocks(node: &mut Node<'_>, controls: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in controls {
-        assert_eq!(node.receive_registers(&block(*control, counter)), Ok(()));
+        assert_eq!(node.receive_registers(&control_block(*control, counter)), Ok(()));
         counter = counter.wrapping_add(1);
         run_for_ms(node, 20, 700);
     }
@@ -56,7 +56,7 @@ fn engaged_node() -> (Node<'static>, u16) {
 }
 
 fn state(node: &Node<'_>) -> StateBits {
-    StateBits(node.input_data().state)
+    StateBits(node.input_block().state)
 }
 
 #[test]
@@ -90,15 +90,15 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
     let (mut node, counter) = engaged_node();
     let before = *node.last_output();
     assert!(before.offset.is_some_and(|all| all[2].0.abs() > 1_000), "{before:?}");
-    let mut damaged = block(Control::default(), counter);
+    let mut damaged = control_block(Control::default(), counter);
     damaged[1] ^= 1;
     for (bad, reason) in [
         (damaged, 2),
-        (block(Control::default(), counter.wrapping_sub(1)), 3),
-        (block(Control::default(), counter.wrapping_add(900)), 4),
+        (control_block(Control::default(), counter.wrapping_sub(1)), 3),
+        (control_block(Control::default(), counter.wrapping_add(900)), 4),
     ] {
         assert_eq!(node.receive_registers(&bad), Ok(()), "it is acknowledged");
-        assert_eq!(node.input_data().last_refused, reason);
+        assert_eq!(node.input_block().last_refused, reason);
         run_for_ms(&mut node, 20, 700);
         let moved = [node.last_output(), &before].map(|output| output.offset.expect("live")[2].0);
         assert!(
@@ -107,10 +107,10 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
         );
         assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
-    assert_eq!(node.input_data().refused, 3);
+    assert_eq!(node.input_block().refused, 3);
     // As on CAN, three that are whole and out of order within 2.4 s are two masters.
     assert!(!state(&node).contains(StateBits::SECOND_MASTER));
-    node.receive_registers(&block(Control::default(), counter)).expect("acknowledged");
+    node.receive_registers(&control_block(Control::default(), counter)).expect("acknowledged");
     run_for_ms(&mut node, 2, 700);
     assert!(state(&node).contains(StateBits::SECOND_MASTER));
 }
@@ -126,7 +126,7 @@ fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
     (4..30).for_each(|n| can(&mut node, Control::ENGAGED, n));
     for (damage, is_reported) in [(1, false), (0, true)] {
         for n in 30..40 {
-            let mut theirs = block(Control::default(), n);
+            let mut theirs = control_block(Control::default(), n);
             theirs[5] ^= damage;
             assert_eq!(node.receive_registers(&theirs), Err(RegistersBusy));
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_reported { 10 } else { 0 });
@@ -134,7 +134,7 @@ fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_reported);
         assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
-    assert_eq!(node.input_data().refused, 0);
+    assert_eq!(node.input_block().refused, 0);
 }
 
 /// Returns a block of a control that says all it can, at this place.
@@ -174,7 +174,7 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
         assert_eq!(in_steps.holding_registers(), registers, "read back as it was written");
         assert_eq!(in_steps.last_output().quality, OffsetQuality::Live);
     }
-    assert_eq!(in_steps.input_data(), at_once.input_data());
+    assert_eq!(in_steps.input_block(), at_once.input_block());
     assert!(!in_steps.last_output().flags.contains(OffsetFlags::SPEED_UNKNOWN));
 }
 
@@ -196,11 +196,11 @@ fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
 }
 
 /// The node, as its slave reaches it.
-struct NodeBridge<'n>(&'n mut Node<'static>);
+struct NodeRegisterStore<'n>(&'n mut Node<'static>);
 
-impl RegisterStore for NodeBridge<'_> {
+impl RegisterStore for NodeRegisterStore<'_> {
     fn input_registers(&mut self) -> input_block::InputRegisters {
-        self.0.input_data().encode()
+        self.0.input_block().encode()
     }
 
     fn holding_registers(&mut self) -> holding_block::HoldingRegisters {
@@ -230,7 +230,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
             slave.receive(now_us, byte);
         }
         now_us = now_us.wrapping_add(1_750);
-        assert!(slave.poll(now_us, &mut NodeBridge(&mut node), &mut response));
+        assert!(slave.poll(now_us, &mut NodeRegisterStore(&mut node), &mut response));
         let mut words = [0; 28];
         for (word, pair) in words.iter_mut().zip(response[3..59].as_chunks::<2>().0) {
             *word = u16::from_be_bytes(*pair);
@@ -256,7 +256,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         let step = n / 8 % 2_000;
         run_for_ms(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
-            node.receive_registers(&block(Control::ENGAGED, counter))
+            node.receive_registers(&control_block(Control::ENGAGED, counter))
                 .expect("no other sender is there");
             counter = counter.wrapping_add(1);
         }

@@ -24,7 +24,7 @@ impl Node<'_> {
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     #[must_use]
-    pub fn input_data(&self) -> InputBlock {
+    pub fn input_block(&self) -> InputBlock {
         let [low, high, ..] = self.now.0.to_le_bytes();
         InputBlock {
             counter: u16::from_le_bytes([low, high]),

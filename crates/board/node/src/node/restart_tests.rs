@@ -31,12 +31,12 @@ fn warmup_calibration() -> Calibration<'static> {
 }
 
 /// A node with the CNC that engages it, after the engage sequence.
-struct EngagedNode {
+struct NodeWithCnc {
     node: Node<'static>,
     counter: u8,
 }
 
-impl EngagedNode {
+impl NodeWithCnc {
     fn with_calibration(calibration: Calibration<'static>) -> Self {
         Self { node: Node::new(calibration.into()), counter: 0 }
     }
@@ -70,14 +70,14 @@ fn z_offset_nm(output: &Output) -> i32 {
 
 #[test]
 fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_was() {
-    let mut before = EngagedNode::with_calibration(warmup_calibration());
+    let mut before = NodeWithCnc::with_calibration(warmup_calibration());
     before.send_control_for(60, Control::REFERENCED);
     before.send_control_for(20_000, Control::ENGAGED);
     let grown = z_offset_nm(before.node.last_output());
     assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
     let retained = before.node.retained_state();
 
-    let mut after = EngagedNode::with_calibration(warmup_calibration());
+    let mut after = NodeWithCnc::with_calibration(warmup_calibration());
     after.node.resume(Some(&retained), 0);
     assert_eq!(
         after.send_control_for(60, Control::ENGAGED).offset,
@@ -94,15 +94,15 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
 
 #[test]
 fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() {
-    let mut before = EngagedNode::with_calibration(warmup_calibration());
+    let mut before = NodeWithCnc::with_calibration(warmup_calibration());
     before.send_control_for(60, Control::REFERENCED);
     before.send_control_for(20_000, Control::ENGAGED);
     let grown = z_offset_nm(before.node.last_output());
     let retained = before.node.retained_state();
-    let mut after = EngagedNode::with_calibration(warmup_calibration());
+    let mut after = NodeWithCnc::with_calibration(warmup_calibration());
     after.node.resume(Some(&retained), 20);
     // The spindle stands: what is left after 20 s without power, and 8 s with.
-    let standing = |life: &mut EngagedNode, ms: u32| {
+    let standing = |life: &mut NodeWithCnc, ms: u32| {
         for n in 0..ms {
             if n % 20 == 0 {
                 let control = if n < 60 { Control::REFERENCED } else { Control::ENGAGED };
@@ -134,7 +134,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
 
 #[test]
 fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
-    let mut life = EngagedNode::with_calibration(warmup_calibration());
+    let mut life = NodeWithCnc::with_calibration(warmup_calibration());
     life.node.resume(None, 0);
     life.send_control_for(60, Control::REFERENCED);
     let output = life.send_control_for(1_000, Control::ENGAGED);
@@ -149,7 +149,7 @@ fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
 
 #[test]
 fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
-    let mut life = EngagedNode::with_calibration(warmup_calibration());
+    let mut life = NodeWithCnc::with_calibration(warmup_calibration());
     life.node.resume(None, 0);
     life.send_control_for(60, Control::REFERENCED);
     // 1 mm to 1 µm are ten half-lives of 13.9 s.

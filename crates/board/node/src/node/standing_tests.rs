@@ -208,7 +208,7 @@ fn load_other_calibration(node: &mut Node<'_>) -> WriteRecord {
     calibration.limits.hold_ms = 77;
     let mut place = [0; MAX_BLOB_SIZE];
     let blob = encode(&calibration, &mut place).expect("small").to_vec();
-    node.log.set_sender(Interface::Serial);
+    node.log.set_request_interface(Interface::Serial);
     node.open(O::New, None).expect("allowed");
     node.append(O::New, &blob).and_then(|()| node.close(O::New)).expect("allowed");
     let mut load = node.take_received_calibration().expect("whole");
@@ -273,7 +273,10 @@ fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
     assert_eq!(node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE + 1), Err(AbortCode::Value));
     node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE).expect("allowed");
-    assert!(node.take_calibration_drop() && !node.take_calibration_drop());
+    assert!(
+        node.take_calibration_to_restore().is_some()
+            && node.take_calibration_to_restore().is_none()
+    );
     node.finish_calibration_drop(true);
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(0)));
     let write = node.take_pending_write().map(|write| (write.what, write.about, write.origin));

@@ -23,13 +23,13 @@ impl Node<'_> {
         self.status.item = if next < count { next } else { 0 };
         let number = ITEM_SEQUENCE.get(usize::from(place)).copied().unwrap_or_default();
         match number.checked_sub(ITEM_COUNT_WITHOUT_SLOPES) {
-            Some(axis) => self.slope_item(axis),
+            Some(axis) => self.next_slope_item(axis),
             None => self.status_item(number),
         }
     }
 
     /// Returns the offset of an axis as constant and slope.
-    fn slope_item(&mut self, axis: u8) -> StatusItem {
+    fn next_slope_item(&mut self, axis: u8) -> StatusItem {
         let number = usize::from(axis);
         let (Some(bridge), Some(name), Some(sent)) =
             (&self.bridge, LinearAxis::ALL.get(number), self.status.slopes.get_mut(number))

@@ -21,7 +21,7 @@ impl Node<'_> {
     }
 
     /// Takes up a level that was stored with the reference.
-    pub fn set_supply_baseline(&mut self, basis: InternalReferenceLevel) {
+    pub fn set_supply_baseline_level(&mut self, basis: InternalReferenceLevel) {
         self.supply.set_baseline_level(basis);
     }
 }

@@ -421,7 +421,7 @@ fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::status::{FrameRejectReason, StatusItem, decode};
     let start = ResetInfo { reason: ResetReason::Watchdog, ..ResetInfo::default() };
     let mut node = Node::new(NodeConfiguration { start, ..sensor_only_calibration().into() });
-    node.set_free_stack(4_000);
+    node.set_free_stack_bytes(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
         let reported = pass(node, ms);
         let frames = reported.iter().filter(|frame| frame.id() == STATUS_ID);

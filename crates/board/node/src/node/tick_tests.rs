@@ -72,7 +72,7 @@ fn a_board_on_a_fall_back_marks_every_frame() {
 }
 
 /// Returns a node that has received the engage sequence but for its end; the next counter is 3.
-fn started_node() -> Node<'static> {
+fn disengaged_node() -> Node<'static> {
     let mut node = Node::new(sensor_only_calibration().into());
     for frame in frames::disengaged_control_frames() {
         node.receive(Interface::Can, &frame).expect("in order");
@@ -96,7 +96,7 @@ fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() 
             node.tick(1, TickInput { codes: Some(&live_codes(400)), ..TickInput::default() });
         }
     };
-    let mut node = started_node();
+    let mut node = disengaged_node();
     // Without samples it is refused, and so is one that is too short.
     (3..6).for_each(|counter| send(&mut node, true, counter));
     assert_eq!(
@@ -114,7 +114,7 @@ fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() 
     assert_ne!(reference, ReferenceErrors::default());
     assert_eq!(node.take_zero_outcome(), None);
 
-    let mut again = started_node();
+    let mut again = disengaged_node();
     again.restore_reference_status(ReferenceStatus::in_force(reference), None);
     live(&mut again, 400);
     send(&mut again, false, 3);
@@ -131,7 +131,7 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
     data[3] ^= 1;
     let damaged = Frame::new(good.id(), &data).unwrap();
     for (frame, engages) in [(damaged, false), (good, true)] {
-        let mut node = started_node();
+        let mut node = disengaged_node();
         assert_eq!(node.receive(Interface::Can, &frame).is_ok(), engages);
         assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
         for _ in 0..450 {
@@ -143,7 +143,10 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
 }
 
 /// Gives a board such a history of `Control`, each 20 ms after the one before.
-fn apply_controls(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut Node<'_>) {
+fn send_control_sequence(
+    controls: impl IntoIterator<Item = (Interface, Control)>,
+    node: &mut Node<'_>,
+) {
     let mut counters = [3_u8; 2];
     for (line, control) in controls {
         let counter = &mut counters[usize::from(line == Interface::Serial)];
@@ -173,7 +176,7 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
         (vec![on, off, off, off, on], true),
     ] {
         let mut node = Node::new(sensor_only_calibration().into());
-        apply_controls(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
+        send_control_sequence(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
         assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
         let quality = if is_available { OffsetQuality::Live } else { OffsetQuality::Fault };
@@ -184,12 +187,12 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
 #[test]
 fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers_one() {
     use trueup_link::status::StateBits;
-    let mut node = started_node();
+    let mut node = disengaged_node();
     node.require_confirmation(Fault::OlderCalibration);
     node.require_confirmation(Fault::ForeignMachine);
     let confirm = Control { confirm: true, ..Control::ENGAGED };
     let plain = Control::ENGAGED;
-    apply_controls([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
+    send_control_sequence([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -203,7 +206,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
         let received = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
         node.receiver = CncReceiver::new();
-        apply_controls(received.map(|frame| (Interface::Can, frame)), &mut node);
+        send_control_sequence(received.map(|frame| (Interface::Can, frame)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!(
             (node.take_confirmed_fault(), node.take_confirmed_fault()),
@@ -215,11 +218,11 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
 
 #[test]
 fn example_constants_are_never_live() {
-    let mut node = started_node();
+    let mut node = disengaged_node();
     node.set_fault(Fault::ExampleConstants);
     node.update_inhibition();
     let confirm = |n: u32| Control { confirm: n % 10 < 5, ..Control::ENGAGED };
-    apply_controls((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
+    send_control_sequence((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -229,9 +232,9 @@ fn example_constants_are_never_live() {
 
 #[test]
 fn a_damaged_board_is_never_live_and_reports_it() {
-    let mut node = started_node();
+    let mut node = disengaged_node();
     node.set_self_test_failed();
-    apply_controls((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    send_control_sequence((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!(
         (node.last_output().quality, node.last_output().offset),
         (OffsetQuality::Fault, None)
@@ -241,21 +244,21 @@ fn a_damaged_board_is_never_live_and_reports_it() {
 
 #[test]
 fn a_master_on_another_line_is_reported_and_has_no_effect() {
-    let mut node = started_node();
+    let mut node = disengaged_node();
     let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
     let both =
         (0..100).flat_map(|n| [(Interface::Can, Control::ENGAGED), (Interface::Serial, zero(n))]);
-    apply_controls(both, &mut node);
+    send_control_sequence(both, &mut node);
     assert_eq!(node.last_output().quality, OffsetQuality::Live);
     assert_eq!(node.take_zero_outcome(), None);
     assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER));
-    apply_controls((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    send_control_sequence((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
 }
 
 #[test]
 fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
-    let mut node = started_node();
+    let mut node = disengaged_node();
     for counter in 3..60_u8 {
         node.receive(Interface::Can, &frames::encode_control(Control::ENGAGED, counter))
             .expect("in order");
@@ -276,7 +279,7 @@ fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
 fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
     // One ahead of the other at equal rate: each second frame is accepted, always of the same one.
     for lead in [0_u8, 1, 5, 100] {
-        let mut node = started_node();
+        let mut node = disengaged_node();
         for n in 0..100_u8 {
             let first = Control { zero: true, ..Control::ENGAGED };
             for (control, counter) in [(first, n + 3), (Control::REFERENCED, n + 3 + lead)] {
@@ -301,10 +304,10 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
 
 #[test]
 fn a_cnc_that_restarts_is_no_second_master() {
-    let mut node = started_node();
-    apply_controls((0..50).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+    let mut node = disengaged_node();
+    send_control_sequence((0..50).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     for _ in 0..2 {
-        apply_controls((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
+        send_control_sequence((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
         assert_eq!(state(&node).0, 0);
         assert_eq!(node.last_output().quality, OffsetQuality::Live);
     }
@@ -313,8 +316,8 @@ fn a_cnc_that_restarts_is_no_second_master() {
 #[test]
 fn a_zero_that_is_refused_is_reported() {
     for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
-        let mut node = started_node();
-        apply_controls([(Interface::Can, control); 20], &mut node);
+        let mut node = disengaged_node();
+        send_control_sequence([(Interface::Can, control); 20], &mut node);
         node.receiver = CncReceiver::new();
         for counter in 0..3 {
             let zero = Control { zero: true, ..control };
@@ -336,7 +339,7 @@ fn a_zero_that_is_refused_is_reported() {
 #[test]
 fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and_not_believed() {
     // The sensor stays where it is; the supply falls by 2 %, and by 5 %: codes rise by as much.
-    let mut node = started_node();
+    let mut node = disengaged_node();
     let run = |node: &mut Node<'_>, percent: u16| {
         let code = |code: u16| AdcCode(code + code / 100 * percent);
         let mut counter = 3;

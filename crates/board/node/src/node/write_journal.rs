@@ -34,11 +34,11 @@ impl WriteJournal {
         Self { last: stored, ..Self::default() }
     }
 
-    pub(crate) fn set_sender(&mut self, line: Interface) {
+    pub(crate) fn set_request_interface(&mut self, line: Interface) {
         self.sender = Some(line);
     }
 
-    pub const fn sender(&self) -> Option<Interface> {
+    pub(crate) const fn request_interface(&self) -> Option<Interface> {
         self.sender
     }
 

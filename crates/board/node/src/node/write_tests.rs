@@ -47,7 +47,7 @@ fn send_controls(node: &mut Node<'_>, control: Control, count: usize, counter: &
     }
 }
 
-fn requires_confirmation(node: &Node<'_>) -> bool {
+fn has_foreign_machine_bit(node: &Node<'_>) -> bool {
     node.faults(node.last_output()).state_bits().contains(StateBits::FOREIGN_MACHINE)
 }
 
@@ -70,7 +70,7 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
         let mut node = named(machine, board);
         node.check_identity(before, CHIP_ID);
         node.tick(1, TickInput::default());
-        assert_eq!(requires_confirmation(&node), is_requested, "{machine} {board:?} {before:?}");
+        assert_eq!(has_foreign_machine_bit(&node), is_requested, "{machine} {board:?} {before:?}");
         let write = node.take_pending_write();
         let expected =
             is_named.then(|| (WriteKind::Named, identity_crc(machine, board), WriteOrigin::Board));
@@ -86,11 +86,11 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
     send_controls(&mut node, Control::REFERENCED, 5, &mut counter);
     send_controls(&mut node, Control::ENGAGED, 30, &mut counter);
     assert_eq!(
-        (node.last_output().quality, requires_confirmation(&node)),
+        (node.last_output().quality, has_foreign_machine_bit(&node)),
         (OffsetQuality::Fault, true)
     );
     send_controls(&mut node, Control { confirm: true, ..Control::REFERENCED }, 5, &mut counter);
-    assert!(!requires_confirmation(&node));
+    assert!(!has_foreign_machine_bit(&node));
     let written = [(); 3].map(|()| {
         node.take_pending_write().map(|record| (record.what, record.about, record.origin))
     });
@@ -141,7 +141,7 @@ fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_
     assert_eq!(node.read(O::Utc), Ok(ObjectValue::Number(0)));
     node.write(O::Utc, 1_790_000_000).expect("allowed");
     send_controls(&mut node, service, 100, &mut counter);
-    node.log.set_sender(Interface::Can);
+    node.log.set_request_interface(Interface::Can);
     node.open(O::New, None).and_then(|()| node.append(O::New, &blob)).expect("allowed");
     node.close(O::New).expect("allowed");
     let load = node.take_received_calibration().expect("whole");
@@ -153,7 +153,7 @@ fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_
         }),
         None,
     );
-    node.log.set_sender(Interface::Serial);
+    node.log.set_request_interface(Interface::Serial);
     // Again and again it is nothing new, and fills no flash.
     for _ in 0..100 {
         node.write(O::Forget, CLEAR_REFERENCE_SIGNATURE).expect("allowed");
@@ -227,7 +227,7 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     let mut node = named("gantry", [0; 3]);
     let mut counter = 0;
     send_controls(&mut node, Control { service: true, ..Control::REFERENCED }, 5, &mut counter);
-    node.log.set_sender(Interface::Serial);
+    node.log.set_request_interface(Interface::Serial);
     let offered = [
         (O::ReferenceElongation, -1_000_i32),
         (O::Reference(0), 2_000),

@@ -9,7 +9,8 @@ use trueup_canopen::{
     sdo::{ObjectAccess as _, ObjectValue},
 };
 use trueup_core::{
-    cnc::Control, design_parameters::TEMPERATURE_CHANNEL_COUNT, learned::LearnedChangeRequest,
+    cnc::Control, design_parameters::TEMPERATURE_CHANNEL_COUNT,
+    learned_changes::LearnedChangeRequest,
 };
 use trueup_link::{frame::Frame, frames};
 use trueup_node::{

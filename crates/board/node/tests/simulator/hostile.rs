@@ -12,7 +12,7 @@ use trueup_core::{
         TravelDirection,
     },
     design_parameters::CODES_PER_TICK,
-    learned::{LearnedChangeRequest, LearnedLimits, calibration_id},
+    learned_changes::{LearnedChangeRequest, LearnedLimits, calibration_id},
     thermometer::RawTemperatureReading,
     units::{AdcCode, MicroDegrees, Position, Rpm},
 };

@@ -20,16 +20,16 @@ use trueup_core::{
 };
 
 use super::{
+    blob_codec::{Field, Reader, Writer, fields, numbers},
     blob_format::{
         MAX_COLD_TOLERANCE, MAX_LEARNED_LIMITS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, NO_INDEX,
     },
     error::BlobError,
-    wire::{Field, Reader, Writer, fields, numbers},
 };
 
 /// How far the square of the tool direction's length may be from 1, in 2⁻⁶⁰: 2⁻¹⁹. The length is
 /// then right to 10⁻⁶, 1 nm of a millimetre; rounding to 2⁻³⁰ alone makes 2·10⁻⁹.
-const SQUARED_LENGTH_TOLERANCE: u64 = 1 << 41;
+const SQUARED_LENGTH_TOLERANCE_Q60: u64 = 1 << 41;
 
 numbers! {
     Nanometres: i32,
@@ -167,13 +167,13 @@ impl<'b> Field<'b> for ToolDirection {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        const UNIT_SQUARED_LENGTH: u64 = 1 << (2 * ToolDirection::FRACTION_BITS);
+        const UNIT_SQUARED_LENGTH_Q60: u64 = 1 << (2 * ToolDirection::FRACTION_BITS);
         let offset = from.at;
         let components: [i32; 3] = Field::read(from);
         let squares =
             components.map(|component| u64::from(component.unsigned_abs()).saturating_pow(2));
         let length_squared = squares.into_iter().fold(0, u64::saturating_add);
-        if length_squared.abs_diff(UNIT_SQUARED_LENGTH) > SQUARED_LENGTH_TOLERANCE {
+        if length_squared.abs_diff(UNIT_SQUARED_LENGTH_Q60) > SQUARED_LENGTH_TOLERANCE_Q60 {
             from.reject(BlobError::NotUnit { offset, found: components });
         }
         Self(components)
@@ -188,7 +188,7 @@ impl<'b> Field<'b> for HeadAxesAndLearnedLimits {
     const SIZE: usize = 4;
 
     fn write(&self, to: &mut Writer<'_>) {
-        let [first, second] = self.0.map(rotary_axis_number);
+        let [first, second] = self.0.map(encode_rotary_axis);
         let [growth, axes] = self.1;
         to.write_bytes(&[first, second, growth, axes]);
     }
@@ -206,7 +206,7 @@ impl<'b> Field<'b> for HeadAxesAndLearnedLimits {
 }
 
 /// Returns the number of a rotary axis; 0 of none.
-pub(super) const fn rotary_axis_number(axis: Option<RotaryAxis>) -> u8 {
+pub(super) const fn encode_rotary_axis(axis: Option<RotaryAxis>) -> u8 {
     match axis {
         None => 0,
         Some(RotaryAxis::A) => 1,
@@ -231,9 +231,9 @@ pub(super) fn decode_rotary_axis(
 }
 
 /// The sources of the elongation in their order, and the cap of what was learned of its zero: four bytes.
-pub(super) struct SourceChain(pub [Option<ElongationSource>; 3], pub u8);
+pub(super) struct SourceChainAndLearnedLimit(pub [Option<ElongationSource>; 3], pub u8);
 
-impl<'b> Field<'b> for SourceChain {
+impl<'b> Field<'b> for SourceChainAndLearnedLimit {
     const SIZE: usize = 4;
 
     fn write(&self, to: &mut Writer<'_>) {
@@ -312,9 +312,9 @@ pub(super) const fn decode_linear_axis(number: u32) -> Option<LinearAxis> {
 
 /// The thermometer of a temperature channel, and how fast it may change: kind, shift, two bytes of the rate, zero,
 /// slope. The rate is 0 in a blob from before it was known: the default.
-pub(super) struct ConnectedThermometer(pub Option<Thermometer>, pub u16);
+pub(super) struct ThermometerAndRateLimit(pub Option<Thermometer>, pub u16);
 
-impl<'b> Field<'b> for ConnectedThermometer {
+impl<'b> Field<'b> for ThermometerAndRateLimit {
     const SIZE: usize = 12;
 
     fn write(&self, to: &mut Writer<'_>) {

@@ -1,6 +1,6 @@
 //! The sizes and marks of a blob.
 
-use trueup_core::{learned::LearnedLimits, units::Temperature};
+use trueup_core::{learned_changes::LearnedLimits, units::Temperature};
 use trueup_link::layout::{MAX_OFFSET_RAW, NANOMETRES_PER_BIT};
 
 /// Bytes of the fixed part.

@@ -12,7 +12,7 @@ use trueup_core::{
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
-    learned::LearnedLimits,
+    learned_changes::LearnedLimits,
     limits::CompensationLimits,
     pitch_table::{GantryBeam, PitchErrorTable},
     reversal::{self, Interval},
@@ -23,15 +23,15 @@ use trueup_core::{
 };
 
 use super::{
+    blob_codec::{Field, record},
     blob_fields::{
-        BoundedU32, ColdTolerance, ConnectedThermometer, HeadAxesAndLearnedLimits, MaxOffset,
-        OptionalChannel, RejoinAndSwitches, SourceChain, Text,
+        BoundedU32, ColdTolerance, HeadAxesAndLearnedLimits, MaxOffset, OptionalChannel,
+        RejoinAndSwitches, SourceChainAndLearnedLimit, Text, ThermometerAndRateLimit,
     },
     blob_format::{
         FIXED_PART_SIZE, HEADER_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S,
     },
-    terms::TermTable,
-    wire::{Field, record},
+    terms::TermsAndVolumetricErrors,
 };
 
 record! {
@@ -43,19 +43,19 @@ record! {
         hold_ms: BoundedU32<MAX_HOLD_MS>,
         tool_direction: ToolDirection,
         head_axes: HeadAxesAndLearnedLimits,
-        chain: SourceChain,
+        chain: SourceChainAndLearnedLimit,
         sensor: SensorLaw,
         spindle_channel: OptionalChannel,
         spindle_smoothing: SmoothingFactor,
         spindle_law: ThermalExpansionLaw<'b>,
         warmup: WarmupModel,
         power: Curve<'b>,
-        thermometers: [ConnectedThermometer; TEMPERATURE_CHANNEL_COUNT],
+        thermometers: [ThermometerAndRateLimit; TEMPERATURE_CHANNEL_COUNT],
         axes: [AxisRecord<'b>; 3],
         straightness: [Curve<'b>; 6],
         squareness: [Gradient; 6],
         spindle_smoothing_falling: SmoothingFactor,
-        terms: TermTable<'b>,
+        terms: TermsAndVolumetricErrors<'b>,
         rejoin: RejoinAndSwitches,
         cold_within: ColdTolerance,
         board: [u32; 3],
@@ -126,7 +126,7 @@ impl<'b> FixedPart<'b> {
             hold_ms: BoundedU32(hold_ms),
             tool_direction: zero,
             head_axes: HeadAxesAndLearnedLimits(head_axes, [learned.growth, learned.axes]),
-            chain: SourceChain(chain, learned.zero),
+            chain: SourceChainAndLearnedLimit(chain, learned.zero),
             sensor,
             spindle_channel: OptionalChannel(temperature.map(|temperature| temperature.channel)),
             spindle_smoothing: temperature.map_or(none, |temperature| temperature.smoothing),
@@ -135,14 +135,17 @@ impl<'b> FixedPart<'b> {
             power: warmup.map(|warmup| warmup.power).unwrap_or_default(),
             thermometers: core::array::from_fn(|channel| {
                 let connected = thermometers.get(channel).copied().flatten();
-                ConnectedThermometer(connected, max_rates.get(channel).copied().unwrap_or_default())
+                ThermometerAndRateLimit(
+                    connected,
+                    max_rates.get(channel).copied().unwrap_or_default(),
+                )
             }),
             axes: axes.map(AxisRecord::from_axis_model),
             straightness,
             squareness,
             spindle_smoothing_falling: temperature
                 .map_or(none, |temperature| temperature.smoothing_falling),
-            terms: TermTable(terms, volume),
+            terms: TermsAndVolumetricErrors(terms, volume),
             rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch, mains),
             cold_within: ColdTolerance(cold_within),
             board,
@@ -152,7 +155,7 @@ impl<'b> FixedPart<'b> {
     }
 
     pub(crate) fn into_calibration(self) -> Calibration<'b> {
-        let Self { chain: SourceChain(chain, zero), warmup: law, power, .. } = self;
+        let Self { chain: SourceChainAndLearnedLimit(chain, zero), warmup: law, power, .. } = self;
         let HeadAxesAndLearnedLimits(head_axes, [growth, axes]) = self.head_axes;
         let has_warmup =
             law.max != FineNanometres::ZERO || chain.contains(&Some(ElongationSource::Warmup));

@@ -17,10 +17,10 @@ use trueup_core::{
 };
 
 use super::{
+    blob_codec::{Field, Reader, Writer},
     blob_fields::decode_linear_axis,
     error::BlobError,
     volume,
-    wire::{Field, Reader, Writer},
 };
 
 /// Bytes of a term.
@@ -35,9 +35,12 @@ const INPUT_OFFSET: usize = 2;
 const SHIFT_OFFSET: usize = 3;
 
 /// The terms, and after them the errors of the volume, which a calibration may have next to them.
-pub(super) struct TermTable<'b>(pub term::Terms<'b>, pub Option<VolumetricErrorModel<'b>>);
+pub(super) struct TermsAndVolumetricErrors<'b>(
+    pub term::Terms<'b>,
+    pub Option<VolumetricErrorModel<'b>>,
+);
 
-impl<'b> Field<'b> for TermTable<'b> {
+impl<'b> Field<'b> for TermsAndVolumetricErrors<'b> {
     const SIZE: usize = 4;
 
     fn write(&self, to: &mut Writer<'_>) {
@@ -264,7 +267,7 @@ impl<'b> Field<'b> for Tilt<Gradient> {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        read_tilt_axes(from, Gradient::read)
+        read_tilt(from, Gradient::read)
     }
 }
 
@@ -281,7 +284,7 @@ impl<'b> Field<'b> for Tilt<Curve<'b>> {
     }
 
     fn read(from: &mut Reader<'b>) -> Self {
-        read_tilt_axes(from, |from| {
+        read_tilt(from, |from| {
             let offset = from.at;
             let (segments, index) = (from.read_records(), from.read_records());
             let curve = Curve::new(
@@ -312,7 +315,7 @@ impl<'b> Field<'b> for ToolTable<'b> {
     fn read(from: &mut Reader<'b>) -> Self {
         let (other, offset) = (i32::read(from), from.at);
         let levels = from.read_records();
-        let [times, is_default] = read_factor(from);
+        let [times, is_default] = read_factor_and_default(from);
         let read = Self {
             levels,
             other,
@@ -320,8 +323,12 @@ impl<'b> Field<'b> for ToolTable<'b> {
             times: CategoryFactor::from_number(times).unwrap_or_default(),
         };
         let is_tool = |(number, _)| number <= u32::from(u16::MAX);
-        let is_rising = read.tools().is_sorted_by(|(a, _), (b, _)| a < b);
-        if levels.len() > MAX_TOOLS || !is_rising || !read.tools().all(is_tool) || is_default != 0 {
+        let is_rising = read.tool_levels().is_sorted_by(|(a, _), (b, _)| a < b);
+        if levels.len() > MAX_TOOLS
+            || !is_rising
+            || !read.tool_levels().all(is_tool)
+            || is_default != 0
+        {
             from.reject(BlobError::Table { offset });
         }
         read
@@ -347,7 +354,7 @@ impl<'b> Field<'b> for ConditionLevels {
             from.reject(BlobError::Value { offset: from.term, found: bit.into() });
         }
         let (off, on, smoothing) = (i32::read(from), i32::read(from), SmoothingFactor::read(from));
-        let [times, default] = read_factor(from);
+        let [times, default] = read_factor_and_default(from);
         Self {
             bit,
             default: default != 0,
@@ -361,7 +368,7 @@ impl<'b> Field<'b> for ConditionLevels {
 }
 
 /// Reads the numbers of a factor and of a default, 0 or 1.
-fn read_factor(from: &mut Reader<'_>) -> [u8; 2] {
+fn read_factor_and_default(from: &mut Reader<'_>) -> [u8; 2] {
     let offset = from.at;
     let word = u32::read(from);
     let [times, default, rest @ ..] = word.to_le_bytes();
@@ -377,10 +384,7 @@ fn write_tilt_axes<A>(tilt: &Tilt<A>, to: &mut Writer<'_>) {
 }
 
 /// Reads the axes and the zero of the lever, then the angle.
-fn read_tilt_axes<'b, A>(
-    from: &mut Reader<'b>,
-    angle: impl FnOnce(&mut Reader<'b>) -> A,
-) -> Tilt<A> {
+fn read_tilt<'b, A>(from: &mut Reader<'b>, angle: impl FnOnce(&mut Reader<'b>) -> A) -> Tilt<A> {
     let axes = from.read_term_byte(INPUT_OFFSET);
     let mut axis = |number: u8| {
         let axis = decode_linear_axis(number.into()).or_else(|| from.reject_value(from.term, axes));

@@ -19,7 +19,7 @@ use trueup_core::{
     gradient::Gradient,
     kinematics::{Kinematics, RotaryAxis},
     lag::SmoothingFactor,
-    learned::LearnedLimits,
+    learned_changes::LearnedLimits,
     limits::CompensationLimits,
     pitch_table::{GantryBeam, PitchErrorTable},
     reversal::{self, Interval},

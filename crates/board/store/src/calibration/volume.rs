@@ -8,15 +8,15 @@ use trueup_core::{
     kinematics::RotaryAxis,
     units::{FineNanometres, Position},
     volumetric_error::{
-        AngularErrorCurve, AngularErrors, KinematicChain, MAX_LEVER_ARM, RotaryLocation,
+        AngularErrorCurve, AngularErrors, KinematicChain, MAX_LEVER_ARM, RotaryAxisLocation,
         VolumetricErrorModel,
     },
 };
 
 use super::{
-    blob_fields::{decode_linear_axis, decode_rotary_axis, rotary_axis_number},
+    blob_codec::{Field, Reader, Writer, fields},
+    blob_fields::{decode_linear_axis, decode_rotary_axis, encode_rotary_axis},
     error::BlobError,
-    wire::{Field, Reader, Writer, fields},
 };
 
 /// Its kind among the terms.
@@ -66,7 +66,10 @@ impl<'b> Field<'b> for VolumetricErrorModel<'b> {
 }
 const _: () = assert!(
     VolumetricErrorModel::SIZE
-        == KinematicChain::SIZE + 3 * AngularErrors::SIZE + 12 + 2 * Option::<RotaryLocation>::SIZE
+        == KinematicChain::SIZE
+            + 3 * AngularErrors::SIZE
+            + 12
+            + 2 * Option::<RotaryAxisLocation>::SIZE
 );
 
 /// The axes from the workpiece to the tool, a byte each, and how many of them move the workpiece.
@@ -93,12 +96,12 @@ impl<'b> Field<'b> for KinematicChain {
 }
 
 /// Axis and side in a word, 0 for none; point, shift, tilt.
-impl<'b> Field<'b> for Option<RotaryLocation> {
+impl<'b> Field<'b> for Option<RotaryAxisLocation> {
     const SIZE: usize = 40;
 
     fn write(&self, to: &mut Writer<'_>) {
         let Some(it) = self else { return [[0_i32; 2]; 5].write(to) };
-        to.write_bytes(&[rotary_axis_number(Some(it.axis)), it.moves_workpiece.into(), 0, 0]);
+        to.write_bytes(&[encode_rotary_axis(Some(it.axis)), it.moves_workpiece.into(), 0, 0]);
         it.point.write(to);
         it.shift.write(to);
         it.tilt.write(to);
@@ -115,7 +118,7 @@ impl<'b> Field<'b> for Option<RotaryLocation> {
         let point = read_lever_arm(from);
         let (shift, tilt): ([FineNanometres; 3], [FineNanometres; 3]) =
             (Field::read(from), Field::read(from));
-        axis.map(|axis| RotaryLocation { axis, moves_workpiece: side == 1, point, shift, tilt })
+        axis.map(|axis| RotaryAxisLocation { axis, moves_workpiece: side == 1, point, shift, tilt })
     }
 }
 

@@ -1,13 +1,13 @@
 //! Calibrations stored, lost power over, and found again.
 
 use super::*;
-use crate::strict_flash::StrictFlash;
+use crate::simulated_nor_flash::SimulatedNorFlash;
 use std::{vec, vec::Vec};
 use trueup_core::calibration::Calibration;
 
 /// Two slots, and a rest that is too small for a third.
 const SECTOR: usize = 2 * SLOT_SIZE as usize + 1_000;
-type Flash = StrictFlash<SECTOR>;
+type Flash = SimulatedNorFlash<SECTOR>;
 const IMAGE: u32 = 0x0BAD_CAFE;
 
 /// Calibrations that differ.

@@ -25,7 +25,7 @@ fn write(log: &mut ReferenceStore<Flash>, what: WriteKind, about: u32, is_unatte
 }
 
 /// Loads another calibration and starts on it.
-fn load(
+fn load_and_restart(
     mut log: ReferenceStore<Flash>,
     calibration: u32,
     is_unattended: bool,
@@ -34,7 +34,7 @@ fn load(
     start(&log, calibration)
 }
 
-const fn offered(n: ReferenceStatus) -> ReferenceStatus {
+const fn mark_offered(n: ReferenceStatus) -> ReferenceStatus {
     ReferenceStatus { is_offered: true, ..n }
 }
 
@@ -54,19 +54,19 @@ fn a_reference_that_was_in_force_stays_so_through_every_start() {
 fn an_old_zero_does_not_come_back_with_its_calibration_it_is_offered() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
-    let (mut log, standing) = load(log, B, false);
+    let (mut log, standing) = load_and_restart(log, B, false);
     assert_eq!(standing, ReferenceStatus::default());
     log.append(held(2)).unwrap();
-    let (log, standing) = load(log, A, false);
-    assert_eq!(standing, offered(held(1)));
+    let (log, standing) = load_and_restart(log, A, false);
+    assert_eq!(standing, mark_offered(held(1)));
     // And again, until it is answered: also where the log has moved on.
     let (mut log, standing) = start(&log, A);
-    assert_eq!(standing, offered(held(1)));
+    assert_eq!(standing, mark_offered(held(1)));
     for number in 0..3 * SLOTS {
         write(&mut log, WriteKind::Confirmed, number, false);
         let standing;
         (log, standing) = start(&log, A);
-        assert_eq!(standing, offered(held(1)), "{number}");
+        assert_eq!(standing, mark_offered(held(1)), "{number}");
     }
     log.append(held(1)).unwrap();
     assert_eq!(start(&log, A).1, held(1));
@@ -76,11 +76,11 @@ fn an_old_zero_does_not_come_back_with_its_calibration_it_is_offered() {
 fn the_same_calibration_loaded_again_offers_its_own_reference() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
-    let (mut log, standing) = load(log, A, false);
-    assert_eq!(standing, offered(held(1)));
+    let (mut log, standing) = load_and_restart(log, A, false);
+    assert_eq!(standing, mark_offered(held(1)));
     // Declined: nothing is offered the next time.
     log.append(ReferenceStatus::default()).unwrap();
-    assert_eq!(load(log, A, false).1, ReferenceStatus::default());
+    assert_eq!(load_and_restart(log, A, false).1, ReferenceStatus::default());
 }
 
 #[test]
@@ -106,7 +106,7 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
         if has_reference {
             log.append(held(1)).unwrap();
         }
-        let (mut log, standing) = load(log, B, true);
+        let (mut log, standing) = load_and_restart(log, B, true);
         let requested = ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
         assert_eq!(standing, requested);
         for number in 0..3 * SLOTS {
@@ -118,7 +118,7 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
         log.append(ReferenceStatus::default()).unwrap();
         assert_eq!(start(&log, B).1, ReferenceStatus::default());
         // With a CNC there nothing is asked.
-        assert!(!load(log, A, false).1.is_changed);
+        assert!(!load_and_restart(log, A, false).1.is_changed);
     }
 }
 
@@ -131,7 +131,7 @@ fn a_calibration_that_came_without_a_load_is_a_change_and_the_first_one_is_none(
     let (log, standing) = start(&log, B);
     assert_eq!(standing, ReferenceStatus { is_changed: true, ..ReferenceStatus::default() });
     let (_, standing) = start(&log, A);
-    assert_eq!(standing, ReferenceStatus { is_changed: true, ..offered(held(1)) });
+    assert_eq!(standing, ReferenceStatus { is_changed: true, ..mark_offered(held(1)) });
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
     for before in 0..2 * SLOTS {
         let mut log = open(&Flash::erased(), A).0;
         log.append(held(1)).unwrap();
-        let mut log = load(log, B, false).0;
+        let mut log = load_and_restart(log, B, false).0;
         for number in 0..before {
             if log.append(held(2 + number)).is_err() {
                 log = start(&log, B).0;
@@ -174,9 +174,9 @@ fn the_write_that_has_taken_a_reference_is_reported_and_moves_with_it() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
     write(&mut log, WriteKind::Zeroed, 77, false);
-    let mut log = load(log, B, false).0;
+    let mut log = load_and_restart(log, B, false).0;
     write(&mut log, WriteKind::Zeroed, 88, false);
-    let mut log = load(log, A, false).0;
+    let mut log = load_and_restart(log, A, false).0;
     for number in 0..3 * SLOTS {
         write(&mut log, WriteKind::Confirmed, number, false);
         log = start(&log, A).0;

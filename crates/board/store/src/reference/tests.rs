@@ -1,12 +1,12 @@
 //! References stored, lost power over, and found again.
 
 use super::*;
-use crate::strict_flash::StrictFlash;
+use crate::simulated_nor_flash::SimulatedNorFlash;
 
 pub(super) const SLOTS: u32 = 8;
 pub(super) const HALF: u32 = SLOTS * SLOT_SIZE;
 const SIZE: usize = 2 * HALF as usize;
-pub(super) type Flash = StrictFlash<{ HALF as usize }>;
+pub(super) type Flash = SimulatedNorFlash<{ HALF as usize }>;
 pub(super) const OURS: u32 = 0xC0FF_EE01;
 const OTHER: u32 = 0x0BAD_CAFE;
 
@@ -66,7 +66,7 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
 fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
     let (mut log, found) = open(&Flash::erased(), OURS);
     assert_eq!(found.supply, InternalReferenceLevel(0));
-    log.set_supply_baseline(InternalReferenceLevel(24_001));
+    log.set_supply_baseline_level(InternalReferenceLevel(24_001));
     // More than the flash holds: records move, and after a start what was found goes on.
     for n in 1..=4 * SLOTS {
         log.append(held(n)).unwrap();

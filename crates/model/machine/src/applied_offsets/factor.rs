@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// A smaller offset is none, in µm: half a step of the wire.
-const MIN_OFFSET_UM: f64 = 0.005;
+const ZERO_OFFSET_TOLERANCE_UM: f64 = 0.005;
 /// More rows than these make the estimate no better than the model is: of more, each n-th is used.
 const MAX_ESTIMATION_ROWS: usize = 20_000;
 /// Lags that the model may lack, as shares of the longest run.
@@ -82,13 +82,13 @@ pub fn estimate_offset_application(
 ) -> OffsetApplication {
     let is_applied = |run: &UncompensatedRun<'_>| {
         run.applied_offset_um(quantity)
-            .is_some_and(|um| um.iter().any(|um| um.abs() > MIN_OFFSET_UM))
+            .is_some_and(|um| um.iter().any(|um| um.abs() > ZERO_OFFSET_TOLERANCE_UM))
     };
     if !runs.iter().any(is_applied) {
         return OffsetApplication::NoOffset;
     }
     let factor = CompleteRows::from_runs(runs, machine, quantity).and_then(|rows| {
-        let is_on = |um: &f64| f64::from(u8::from(um.abs() > MIN_OFFSET_UM));
+        let is_on = |um: &f64| f64::from(u8::from(um.abs() > ZERO_OFFSET_TOLERANCE_UM));
         let on: Vec<f64> = rows.offset_um.iter().map(is_on).collect();
         let engaged = |column: &Vec<f64>| on.iter().zip(column).map(|(on, um)| on * um).collect();
         let mut instruments: Vec<Vec<f64>> = rows.of_offset.iter().map(engaged).collect();
@@ -174,7 +174,7 @@ impl PairedRuns<'_> {
         let rows: Vec<usize> = (0..self.at.len()).filter(is_known).collect();
         let of = |all: &[f64]| rows.iter().map(|row| all[*row]).collect::<Vec<f64>>();
         let offset_um = of(self.offset_um);
-        if offset_um.iter().all(|um| um.abs() <= MIN_OFFSET_UM) {
+        if offset_um.iter().all(|um| um.abs() <= ZERO_OFFSET_TOLERANCE_UM) {
             return OffsetApplication::NoOffset;
         }
         let predicted = of(self.predicted_um);

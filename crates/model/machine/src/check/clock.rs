@@ -27,7 +27,7 @@ const MIN_CLOCK_JUMP_RATIO: f64 = 3.0;
 /// A change to summer time, in s.
 const DST_SHIFT_S: f64 = 3600.0;
 /// The longest step, in s, next to which an hour can be distinguished from a pause of the logger.
-const MAX_STEP_S: f64 = 600.0;
+const MAX_MEDIAN_STEP_S: f64 = 600.0;
 /// Rows on each side of a step through which the lines are laid, and the fewest of them.
 const MAX_FIT_ROWS: usize = 12;
 const MIN_FIT_ROWS: usize = 5;
@@ -150,7 +150,7 @@ fn find_irregular_clock_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
         return None;
     }
     let is_hour = |step_s: f64| {
-        median_s <= MAX_STEP_S
+        median_s <= MAX_MEDIAN_STEP_S
             && (step_s - median_s - DST_SHIFT_S).abs() <= 0.5 * median_s.min(120.0)
     };
     let long = pairs.into_iter().filter(|(_, step_s)| *step_s > MIN_CLOCK_JUMP_RATIO * median_s);

@@ -159,7 +159,7 @@ fn max_term_elongation_um(machine: &Machine, form: &BoardTerm) -> Option<f64> {
             um_per_krpm2.abs() * relative_heat_input(SpeedExponent::Second, rated_rpm(machine)?)
         }
         BoardTerm::Tool { ref times, .. } | BoardTerm::Condition { ref times, .. } => {
-            form.max_amplitude()
+            form.max_category_amplitude()
                 * match times {
                     Multiplier::Speed2 => {
                         relative_heat_input(SpeedExponent::Second, rated_rpm(machine)?)
@@ -225,8 +225,8 @@ fn max_term_error_um(machine: &Machine, form: &BoardTerm, own_mm: Option<[f64; 2
         &BoardTerm::Wave { amplitude_um, .. } => amplitude_um.abs(),
         &BoardTerm::Time { amplitude_um, .. } => amplitude_um.abs(),
         BoardTerm::Tool { times, .. } | BoardTerm::Condition { times, .. } => match times {
-            Multiplier::One => form.max_amplitude(),
-            Multiplier::Position => max_linear_error_um(form.max_amplitude(), own_mm?),
+            Multiplier::One => form.max_category_amplitude(),
+            Multiplier::Position => max_linear_error_um(form.max_category_amplitude(), own_mm?),
             _ => return None,
         },
         BoardTerm::Gain(_)

@@ -26,7 +26,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
 
 /// Terms that leave what is possible, which `compile` refuses, or take each other back.
 fn cancelling_terms_warning(machine: &Machine) -> Option<Warning> {
-    match envelope::check_envelope(machine) {
+    match envelope::reject_limit_violations(machine) {
         // Of a machine with [inputs] it is reported that no board can run it.
         Err(_) if machine.inputs.is_some() => None,
         Err(InputFileError { place, rule, help, .. }) => {

@@ -68,8 +68,8 @@ pub fn combine_rejected_findings(
 
 /// Returns the values of a machine file that are unlikely or impossible.
 #[must_use]
-pub(crate) fn machine_findings(machine: &Machine) -> Vec<ImplausibleValue> {
-    let entries = numeric_values::numeric_entries(machine).into_iter();
+pub(crate) fn find_implausible_values(machine: &Machine) -> Vec<ImplausibleValue> {
+    let entries = numeric_values::collect_numeric_entries(machine).into_iter();
     let mut findings: Vec<ImplausibleValue> = entries
         .filter_map(|NumericEntry { key, unit, range, values }| {
             let range = range?;

@@ -4,7 +4,7 @@
 use super::{
     geometry,
     plausibility::{self, ImplausibleValue, Plausibility},
-    sensor::{FULL_SCALE_COUNTS, S7_FULL_SCALE_COUNTS},
+    sensor::{INT16_FULL_SCALE_COUNTS, S7_FULL_SCALE_COUNTS},
     warning::Warning,
 };
 use crate::{
@@ -39,7 +39,7 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
     if let Some(machine) = machine {
         warnings.extend(outside_travel_warnings(run, machine));
         warnings.extend(
-            compare_with_model(run, machine)
+            find_model_mismatches(run, machine)
                 .into_iter()
                 .filter(|comparison| !comparison.is_unit)
                 .map(|comparison| comparison.warning),
@@ -49,19 +49,22 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
 }
 
 /// Returns the columns that look like another unit next to the machine file.
-pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<ImplausibleValue> {
+pub(super) fn find_implausible_columns(
+    run: &RunFile,
+    machine: Option<&Machine>,
+) -> Vec<ImplausibleValue> {
     let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
     let volts =
         of_sensor.and_then(|column| Some(("sensor_counts".into(), voltage_warning(run, column)?)));
     // A file that no machine has says nothing of the run's units.
     let is_sound = |machine: &&Machine| {
-        plausibility::machine_findings(machine)
+        plausibility::find_implausible_values(machine)
             .iter()
             .all(|finding| finding.grade != Plausibility::Impossible)
     };
     let of_machine = machine.filter(is_sound).into_iter().flat_map(|machine| {
         let units =
-            compare_with_model(run, machine).into_iter().filter(|comparison| comparison.is_unit);
+            find_model_mismatches(run, machine).into_iter().filter(|comparison| comparison.is_unit);
         units
             .map(|comparison| (comparison.column, comparison.warning))
             .chain(position_unit_warnings(run, machine))
@@ -105,9 +108,9 @@ fn s7_full_scale_warning(run: &RunFile, column: &RunColumn, machine: &Machine) -
     let input = machine.inputs.as_ref()?.sensor?;
     let [_, most] = value_range(column)?;
     let at_end = known_values(column).filter(|&value| value == S7_FULL_SCALE_COUNTS).count();
-    (input.counts_full_scale == FULL_SCALE_COUNTS && most == S7_FULL_SCALE_COUNTS && at_end >= MIN_COLUMN_ROWS).then(|| {
+    (input.counts_full_scale == INT16_FULL_SCALE_COUNTS && most == S7_FULL_SCALE_COUNTS && at_end >= MIN_COLUMN_ROWS).then(|| {
         let what = format!(
-            "ends at {S7_FULL_SCALE_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_SCALE_COUNTS}"
+            "ends at {S7_FULL_SCALE_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {INT16_FULL_SCALE_COUNTS}"
         );
         let help = "a SIMATIC S7 input reaches 10 V at 27648 counts: write counts_full_scale = 27648";
         column_warning(run, &column.name, &what, help)
@@ -173,7 +176,7 @@ fn suspected_position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'sta
 }
 
 /// A column that is the predicted one times a factor.
-struct ModelComparison {
+struct ModelMismatch {
     column: String,
     warning: Warning,
     /// The factor is that of a unit, not of a sign.
@@ -182,7 +185,7 @@ struct ModelComparison {
 
 /// Returns what was measured compared with what the model says: the same curve, a thousand times as large or as small,
 /// or minus it.
-fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> {
+fn find_model_mismatches(run: &RunFile, machine: &Machine) -> Vec<ModelMismatch> {
     let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
     if names.iter().all(|name| run.column(name).is_none()) {
         return Vec::new();
@@ -205,7 +208,7 @@ fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> 
             let help = "look at one reading: where the machine goes too far, the error must be \
                 positive. An elongation is positive where the tool comes out of the spindle";
             let warning = column_warning(run, name, what, help);
-            return Some(ModelComparison { column: name.clone(), warning, is_unit: false });
+            return Some(ModelMismatch { column: name.clone(), warning, is_unit: false });
         }
         let is_near =
             |factor: f64| (factor / MAX_SLOPE_RATIO..=factor * MAX_SLOPE_RATIO).contains(&slope);
@@ -221,7 +224,7 @@ fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> 
         let what =
             format!("is {how} of what the machine file predicts: it looks like {unit}, not µm");
         let help = "write it in µm, or look for the unit in the machine file";
-        Some(ModelComparison { column: name.clone(), warning: column_warning(run, name, &what, help), is_unit: true })
+        Some(ModelMismatch { column: name.clone(), warning: column_warning(run, name, &what, help), is_unit: true })
     });
     units.collect()
 }

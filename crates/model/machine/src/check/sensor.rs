@@ -7,7 +7,7 @@ use crate::{inputs::SensorInput, machine_file::Machine, sections::SensorModel};
 /// with it many examples, 32768.
 pub(super) const S7_FULL_SCALE_COUNTS: f64 = 27_648.0;
 /// Counts of a signed 16-bit input at full scale.
-pub(super) const FULL_SCALE_COUNTS: f64 = 32_768.0;
+pub(super) const INT16_FULL_SCALE_COUNTS: f64 = 32_768.0;
 
 /// The shortest and the longest measuring range of a displacement sensor in µm: capacitive ones begin at
 /// 10 µm, and what measures more than 10 mm (eddy current, triangulation) does not fit a spindle nose.
@@ -19,7 +19,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let of_input = input.map(|input| {
         [
             zero_beyond_full_scale_warning(machine, model, &input),
-            count_scale_warning(machine, model, &input),
+            mismatched_full_scale_warning(machine, model, &input),
             implausible_range_warning(machine, model, &input),
         ]
     });
@@ -63,19 +63,19 @@ fn negative_gain_warning(machine: &Machine, model: &SensorModel) -> Option<Warni
 
 /// 500 µm over 27648 counts next to a full scale of 32768, or the other way round: the range of the sensor
 /// is a round number by one of the two inputs, and not by the one that the file names.
-fn count_scale_warning(
+fn mismatched_full_scale_warning(
     machine: &Machine,
     model: &SensorModel,
     input: &SensorInput,
 ) -> Option<Warning> {
     let other = match input.counts_full_scale {
-        FULL_SCALE_COUNTS => S7_FULL_SCALE_COUNTS,
-        S7_FULL_SCALE_COUNTS => FULL_SCALE_COUNTS,
+        INT16_FULL_SCALE_COUNTS => S7_FULL_SCALE_COUNTS,
+        S7_FULL_SCALE_COUNTS => INT16_FULL_SCALE_COUNTS,
         _ => return None,
     };
     let range_um = |counts: f64| model.um_per_count.abs() * counts;
     let (here_um, there_um) = (range_um(input.counts_full_scale), range_um(other));
-    if is_data_sheet_range(here_um) || !is_data_sheet_range(there_um) {
+    if is_round_range(here_um) || !is_round_range(there_um) {
         return None;
     }
     Some(Warning::for_key(
@@ -92,7 +92,7 @@ fn count_scale_warning(
 
 /// Returns whether a measuring range is one that stands on a data sheet: a multiple of 50 µm, to a part in 10 000.
 /// One in a hundred ranges that are none is so by chance.
-fn is_data_sheet_range(range_um: f64) -> bool {
+fn is_round_range(range_um: f64) -> bool {
     const RANGE_STEP_UM: f64 = 50.0;
     let nearest = (range_um / RANGE_STEP_UM).round() * RANGE_STEP_UM;
     nearest > 0.0 && (range_um - nearest).abs() <= 1e-4 * range_um

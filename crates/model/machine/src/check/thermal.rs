@@ -23,7 +23,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
         let key = format!("axis.{}.thermal", name.name());
         if let Some(thermal) = &axis.thermal {
-            warnings.extend(kelvin_warnings(machine, thermal, &key));
+            warnings.extend(thermal_law_kelvin_warnings(machine, thermal, &key));
             warnings.extend(slope_unit_warning(machine, thermal, &key));
             warnings.extend(constant_unit_warning(machine, thermal, &key));
         }
@@ -49,7 +49,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     warnings
 }
 
-fn kelvin_warnings(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Vec<Warning> {
+fn thermal_law_kelvin_warnings(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Vec<Warning> {
     match &thermal.table {
         None => kelvin_warning(machine, &format!("{key}.reference_c"), thermal.reference_c)
             .into_iter()
@@ -110,7 +110,7 @@ fn negligible_value_warning(machine: &Machine, key: &str, value: f64, of: &str) 
         let help = if key.ends_with("slope_um_per_m_per_c") {
             format!(
                 "the unit is µm/(m·K): an expansion of {value} for one kelvin is {}",
-                to_um_per_m_k(value)
+                um_per_m_k_from_per_k(value)
             )
         } else {
             "the unit is µm for one kelvin".into()
@@ -120,6 +120,6 @@ fn negligible_value_warning(machine: &Machine, key: &str, value: f64, of: &str) 
 }
 
 /// Returns a coefficient in 1/K as µm/(m·K), in the digits that it has.
-fn to_um_per_m_k(value: f64) -> f64 {
+fn um_per_m_k_from_per_k(value: f64) -> f64 {
     format!("{:.6e}", value * 1e6).parse().unwrap_or(value * 1e6)
 }

@@ -35,7 +35,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
     let unstated =
         inputs.filter(|(name, input)| input.max_c_per_min.is_none() && used.contains(*name));
-    let named = unstated.filter_map(|(name, _)| Some((name, fast_changing_word(name)?)));
+    let named = unstated.filter_map(|(name, _)| Some((name, find_fast_changing_keyword(name)?)));
     named
         .map(|(name, word)| {
             Warning::for_key(
@@ -51,7 +51,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
 }
 
 /// Returns the word in a column's name that stands for something fast.
-fn fast_changing_word(column: &str) -> Option<&'static str> {
+fn find_fast_changing_keyword(column: &str) -> Option<&'static str> {
     let lower = column.to_lowercase();
     let is = |part: &str, word: &str| {
         let part = part.trim_end_matches(|c: char| c.is_ascii_digit());
@@ -64,19 +64,19 @@ fn fast_changing_word(column: &str) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
-    use super::fast_changing_word;
+    use super::find_fast_changing_keyword;
 
     #[test]
     fn a_name_of_something_fast_is_found_and_a_part_of_the_machine_is_none() {
         for name in ["temp_coolant_c", "temp_oil_c", "temp_air2_c", "temp_gear_oil_c", "temp_öl_c"]
         {
-            assert!(fast_changing_word(name).is_some(), "{name}");
+            assert!(find_fast_changing_keyword(name).is_some(), "{name}");
         }
         for name in ["temp_kuehlmittel_c", "temp_Luft_c", "temp_water_in_c"] {
-            assert!(fast_changing_word(name).is_some(), "{name}");
+            assert!(find_fast_changing_keyword(name).is_some(), "{name}");
         }
         for name in ["temp_coil_c", "temp_front_c", "temp_screw_c", "temp_foil_c", "temp_bed_c"] {
-            assert_eq!(fast_changing_word(name), None, "{name}");
+            assert_eq!(find_fast_changing_keyword(name), None, "{name}");
         }
     }
 }

@@ -34,7 +34,7 @@ const RTD_RANGE_C: [f64; 2] = [-200.0, 850.0];
 /// A machine that stands is at 10 to 35 °C, which is this many °F …
 const IDLE_TEMPERATURE_RANGE_F: std::ops::RangeInclusive<f64> = 50.0..=95.0;
 /// Parts that stand in one workshop are no further apart than this, in °C.
-const MAX_WORKSHOP_SPREAD_C: f64 = 5.0;
+const MAX_WORKSHOP_SPREAD_K: f64 = 5.0;
 /// … and what runs in it at 60 °C at most.
 const MAX_MACHINE_TEMPERATURE_F: f64 = 140.0;
 /// A clock of seconds that is beyond this counts milliseconds of Unix: as seconds it is the year 5138.
@@ -76,7 +76,7 @@ pub(super) fn findings(
         let is_requested = is_law || thermometers.len() == 1;
         let may_be_f =
             may_be_fahrenheit(column, &thermometers) && !continues_celsius_run(column, others);
-        findings.extend(temperature_unit_finding(run, column, is_law, [is_requested, may_be_f]));
+        findings.extend(find_wrong_temperature_unit(run, column, is_law, [is_requested, may_be_f]));
     }
     // What is no temperature says nothing of the clock.
     let sound: Vec<&RunColumn> = thermometers
@@ -85,21 +85,21 @@ pub(super) fn findings(
             findings.iter().all(|finding: &ImplausibleValue| finding.key != column.name)
         })
         .collect();
-    findings.extend(time_unit_finding(run, &sound));
+    findings.extend(find_wrong_time_unit(run, &sound));
     for quantity in Quantity::ALL {
         let name = format!("measured_{}_um", quantity.name());
         findings.extend(
             run.columns()
                 .iter()
                 .find(|column| column.name == name)
-                .and_then(|columns| error_unit_finding(run, columns)),
+                .and_then(|columns| find_wrong_error_unit(run, columns)),
         );
     }
-    findings.extend(speed_unit_finding(run));
+    findings.extend(find_wrong_speed_unit(run));
     findings
 }
 
-fn new_finding(
+fn new_implausible_value(
     run: &RunFile,
     column: &str,
     grade: Plausibility,
@@ -123,7 +123,7 @@ fn value_range(values: &[f64]) -> Option<[f64; 2]> {
     (rows >= MIN_COLUMN_ROWS).then_some(range)
 }
 
-fn temperature_unit_finding(
+fn find_wrong_temperature_unit(
     run: &RunFile,
     column: &RunColumn,
     is_law: bool,
@@ -148,7 +148,7 @@ fn temperature_unit_finding(
         ),
     };
     let finding = |grade| {
-        Some(new_finding(
+        Some(new_implausible_value(
             run,
             &column.name,
             grade,
@@ -166,7 +166,7 @@ fn temperature_unit_finding(
         let what = format!(
             "is from {least} to {most}: that looks like °F, not °C, for a machine that begins cold"
         );
-        new_finding(run, &column.name, Plausibility::Unlikely, &what, "temperatures are in °C: (°F − 32)/1.8")
+        new_implausible_value(run, &column.name, Plausibility::Unlikely, &what, "temperatures are in °C: (°F − 32)/1.8")
     })
 }
 
@@ -179,8 +179,8 @@ fn may_be_fahrenheit(column: &RunColumn, thermometers: &[&RunColumn]) -> bool {
     let in_c = in_c.filter(|[least, _]| !IDLE_TEMPERATURE_RANGE_F.contains(least));
     let around = in_c.reduce(|[low, high], [least, most]| [low.min(least), high.max(most)]);
     around.is_none_or(|[low, high]| {
-        fahrenheit_to_celsius(most_f) >= low - MAX_WORKSHOP_SPREAD_C
-            && fahrenheit_to_celsius(least_f) <= high + MAX_WORKSHOP_SPREAD_C
+        fahrenheit_to_celsius(most_f) >= low - MAX_WORKSHOP_SPREAD_K
+            && fahrenheit_to_celsius(least_f) <= high + MAX_WORKSHOP_SPREAD_K
     })
 }
 
@@ -191,9 +191,9 @@ fn continues_celsius_run(column: &RunColumn, others: &[RunFile]) -> bool {
     let Some([coldest, _]) = value_range(&column.values) else { return false };
     let same = others.iter().filter_map(|run| value_range(run.column(&column.name)?));
     same.filter(|[least, _]| !IDLE_TEMPERATURE_RANGE_F.contains(least)).any(|[least_c, most_c]| {
-        let is_again = (fahrenheit_to_celsius(coldest) - least_c).abs() <= MAX_WORKSHOP_SPREAD_C
-            && coldest + MAX_WORKSHOP_SPREAD_C < most_c;
-        least_c <= coldest && coldest <= most_c + MAX_WORKSHOP_SPREAD_C && !is_again
+        let is_again = (fahrenheit_to_celsius(coldest) - least_c).abs() <= MAX_WORKSHOP_SPREAD_K
+            && coldest + MAX_WORKSHOP_SPREAD_K < most_c;
+        least_c <= coldest && coldest <= most_c + MAX_WORKSHOP_SPREAD_K && !is_again
     })
 }
 
@@ -207,17 +207,17 @@ fn is_machine_temperature(temperature_c: f64) -> bool {
     (coldest..=hottest).contains(&temperature_c)
 }
 
-fn time_unit_finding(run: &RunFile, thermometers: &[&RunColumn]) -> Option<ImplausibleValue> {
+fn find_wrong_time_unit(run: &RunFile, thermometers: &[&RunColumn]) -> Option<ImplausibleValue> {
     let time_s = run.column("time_s")?;
     let [_, last_s] = value_range(time_s)?;
     let ms = "times are in s: divide each by 1000";
     if last_s > MAX_PLAUSIBLE_TIME_S {
         let what = format!("reaches {last_s}: that looks like milliseconds of Unix, not s");
-        return Some(new_finding(run, "time_s", Plausibility::Impossible, &what, ms));
+        return Some(new_implausible_value(run, "time_s", Plausibility::Impossible, &what, ms));
     }
     let days = |seconds: f64| seconds / 86_400.0;
     let unlikely = |what: String, help: &str| {
-        Some(new_finding(run, "time_s", Plausibility::Unlikely, &what, help))
+        Some(new_implausible_value(run, "time_s", Plausibility::Unlikely, &what, help))
     };
     if let Some(longest_s) = run.column("spindle_rpm").map(|rpm| longest_spindle_run_s(time_s, rpm))
         && longest_s > MAX_SPINDLE_RUN_S
@@ -246,7 +246,7 @@ fn time_unit_finding(run: &RunFile, thermometers: &[&RunColumn]) -> Option<Impla
     }
     // A part of a machine that turns: a rod over a flame and a printer's bed are faster.
     run.column("spindle_rpm")?;
-    let parts = thermometers.iter().filter(|column| !is_fluid(&column.name));
+    let parts = thermometers.iter().filter(|column| !is_fluid_column(&column.name));
     let fastest = parts.filter_map(|part| Some((max_rate_c_per_s(time_s, &part.values)?, part)));
     let (c_per_s, column) = fastest.max_by(|a, b| a.0.total_cmp(&b.0))?;
     if c_per_s <= MAX_HEATING_RATE_C_PER_S {
@@ -263,7 +263,7 @@ fn time_unit_finding(run: &RunFile, thermometers: &[&RunColumn]) -> Option<Impla
 }
 
 /// Coolant, oil and air change faster than a part of a machine.
-fn is_fluid(name: &str) -> bool {
+fn is_fluid_column(name: &str) -> bool {
     ["coolant", "oil", "air", "water"].iter().any(|word| name.contains(word))
 }
 
@@ -286,7 +286,7 @@ fn longest_spindle_run_s(time_s: &[f64], rpm: &[f64]) -> f64 {
 fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     const MIN_CHECKED_STEPS: usize = 100;
     const MAX_MEAN_STEP_FRACTION: f64 = 0.03;
-    const MIN_ROW_INTERVAL_S: f64 = 1_000.0;
+    const MIN_SUSPECT_ROW_INTERVAL_S: f64 = 1_000.0;
     let [least, most] = value_range(values)?;
     let mut steps: Vec<(f64, f64)> = time_s
         .windows(2)
@@ -303,7 +303,7 @@ fn fastest_range_traversal_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     }
     steps.sort_by(|a, b| (a.1 / a.0).total_cmp(&(b.1 / b.0)));
     let (apart_s, step) = steps[steps.len() - 1 - steps.len() / 20];
-    (apart_s >= MIN_ROW_INTERVAL_S).then(|| (most - least) * apart_s / step)
+    (apart_s >= MIN_SUSPECT_ROW_INTERVAL_S).then(|| (most - least) * apart_s / step)
 }
 
 /// Returns the fastest change of a column over [`RATE_WINDOW_ROWS`] rows, in K/s.
@@ -320,14 +320,14 @@ fn max_rate_c_per_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     rates.reduce(f64::max)
 }
 
-fn error_unit_finding(run: &RunFile, column: &RunColumn) -> Option<ImplausibleValue> {
+fn find_wrong_error_unit(run: &RunFile, column: &RunColumn) -> Option<ImplausibleValue> {
     let [least, most] = value_range(&column.values)?;
     let largest = least.abs().max(most.abs());
     if most - least > MAX_ERROR_RANGE_UM {
         let what = format!(
             "is from {least} to {most}: no machine errs by that; it looks like nm or counts, not µm"
         );
-        return Some(new_finding(
+        return Some(new_implausible_value(
             run,
             &column.name,
             Plausibility::Impossible,
@@ -340,15 +340,21 @@ fn error_unit_finding(run: &RunFile, column: &RunColumn) -> Option<ImplausibleVa
             "is {largest} at the most: no gauge resolves that in µm; it looks like mm or inches, not µm"
         );
         let help = "write it in µm: multiply mm by 1000, inches by 25 400";
-        new_finding(run, &column.name, Plausibility::Unlikely, &what, help)
+        new_implausible_value(run, &column.name, Plausibility::Unlikely, &what, help)
     })
 }
 
-fn speed_unit_finding(run: &RunFile) -> Option<ImplausibleValue> {
+fn find_wrong_speed_unit(run: &RunFile) -> Option<ImplausibleValue> {
     let [_, most] = value_range(run.column("spindle_rpm")?)?;
     (most > 0.0 && most <= MAX_SPEED_KRPM).then(|| {
         let what = format!("is {most} at the most: that looks like 1000 r/min, not r/min");
-        new_finding(run, "spindle_rpm", Plausibility::Unlikely, &what, "speeds are in r/min")
+        new_implausible_value(
+            run,
+            "spindle_rpm",
+            Plausibility::Unlikely,
+            &what,
+            "speeds are in r/min",
+        )
     })
 }
 

@@ -13,7 +13,7 @@ use super::{
     inputs::find_channel,
     lag,
     part_differences::PartDifferences,
-    pitch::{self, PitchTables, compile_pitch},
+    pitch::{self, OwnedPitchTable, compile_pitch},
     squareness::{linear_axis_from_board, linear_axis_to_board},
     thermal::{self, ThermalLawSegments},
 };
@@ -30,12 +30,12 @@ use crate::{
 const SPEED_UNITS_PER_MM_PER_MIN: f64 = POSITION_UNITS_PER_MM / 60_000.0;
 
 /// The tables of one axis.
-pub(super) struct AxisTables {
+pub(super) struct OwnedAxis {
     law: ThermalLawSegments,
     /// Of the lag, rising and falling.
     smoothing: [SmoothingFactor; 2],
-    pitch: Option<PitchTables>,
-    dual: Option<PitchTables>,
+    pitch: Option<OwnedPitchTable>,
+    dual: Option<OwnedPitchTable>,
 }
 
 pub(super) fn compile(
@@ -43,9 +43,9 @@ pub(super) fn compile(
     name: LinearAxis,
     falling_s: Option<f64>,
     account: &mut PartDifferences<'_>,
-) -> Result<AxisTables, InputFileError> {
+) -> Result<OwnedAxis, InputFileError> {
     let key = format!("axis.{}", name.name());
-    let mut tables = AxisTables {
+    let mut tables = OwnedAxis {
         law: ThermalLawSegments::new(),
         smoothing: [SmoothingFactor::NO_LAG; 2],
         pitch: None,
@@ -75,10 +75,10 @@ pub(super) fn compile(
     Ok(tables)
 }
 
-pub(super) fn compile_axis<'t>(
+pub(super) fn build_axis_model<'t>(
     machine: &Machine,
     number: usize,
-    tables: &'t AxisTables,
+    tables: &'t OwnedAxis,
 ) -> Result<calibration::AxisModel<'t>, InputFileError> {
     let axis = &machine.axes[number];
     let key = format!("axis.{}", LinearAxis::ALL[number].name());
@@ -132,7 +132,7 @@ pub(super) fn compile_axis<'t>(
             ramp: Interval::new(length(format!("{key}.ramp_mm"), model.ramp_mm)?),
         };
     }
-    let pitch = tables.pitch.as_ref().map(PitchTables::view);
+    let pitch = tables.pitch.as_ref().map(OwnedPitchTable::view);
     let mm_per_min = axis.rapid_mm_per_min.unwrap_or(0.0);
     let rapid = round_to_u32(mm_per_min * SPEED_UNITS_PER_MM_PER_MIN)
         .filter(|speed| (*speed > 0) == (mm_per_min > 0.0));

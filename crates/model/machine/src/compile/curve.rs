@@ -200,7 +200,7 @@ fn interpolating_cubic(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
 /// search short. A bucket names the segment of its first position.
 fn build_bucket_index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), ErrorMessage> {
     /// Entries that every curve may have for a segment: 4 bytes.
-    const INDEX_ENTRIES_PER_SEGMENT: i64 = 2;
+    const INDEX_BUDGET_PER_SEGMENT: i64 = 2;
     const MAX_INDEX_ENTRIES: i64 = 4_096;
     let length = ends.last().copied().unwrap_or_default();
     let entries = |shift: u8| (length >> shift) + 1;
@@ -215,7 +215,7 @@ fn build_bucket_index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), ErrorMessage> 
             .max()
             .unwrap_or(0)
     };
-    let share = (INDEX_ENTRIES_PER_SEGMENT * ends.len() as i64).max(4);
+    let share = (INDEX_BUDGET_PER_SEGMENT * ends.len() as i64).max(4);
     let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MAX_INDEX_ENTRIES);
     let within_share = || shifts().filter(|&shift| entries(shift) <= share);
     let shift = within_share()

@@ -14,7 +14,7 @@ use crate::{
     effect::BoardTerm,
     inputs::{
         BoardInputs, ConditionInput, CountScale, LinearInput, MAX_TEMPERATURE_CHANNEL, SensorInput,
-        TemperatureInput, TemperatureKind,
+        TemperatureInput, TemperatureInputKind,
     },
     keys::reader::is_temperature_column,
     location::InputFileError,
@@ -104,7 +104,7 @@ pub(super) fn condition_input_line(inputs: Option<&BoardInputs>, column: &str) -
 }
 
 /// A calibration holds bits, not the names of columns.
-pub(super) fn condition_column(bit: u8) -> String {
+pub(super) fn condition_column_name(bit: u8) -> String {
     format!("condition_{bit}")
 }
 
@@ -135,8 +135,8 @@ pub(super) fn compile_thermometers(
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let key = format!("inputs.{name}");
         let thermometer = match input.kind {
-            TemperatureKind::Pt100 => Some(Thermometer::Pt100),
-            TemperatureKind::Linear(line) => {
+            TemperatureInputKind::Pt100 => Some(Thermometer::Pt100),
+            TemperatureInputKind::Linear(line) => {
                 let (zero_codes, codes_per_c) = line.linear_coefficients_in_codes();
                 compile_linear_thermometer(zero_codes, codes_per_c)
             }
@@ -205,7 +205,7 @@ pub(super) fn decompile(
 ) -> Option<BoardInputs> {
     let of_term = |term: &Term<'_>| match term.effect {
         Effect::Condition(ConditionLevels { bit, default, .. }) => {
-            Some((condition_column(bit), ConditionInput { bit, default }))
+            Some((condition_column_name(bit), ConditionInput { bit, default }))
         }
         _ => None,
     };
@@ -214,9 +214,9 @@ pub(super) fn decompile(
     for ((channel, &thermometer), &tenths) in (0..).zip(thermometers).zip(&guards.max_rates) {
         let kind = match thermometer {
             None => continue,
-            Some(Thermometer::Pt100) => TemperatureKind::Pt100,
+            Some(Thermometer::Pt100) => TemperatureInputKind::Pt100,
             Some(Thermometer::Linear { zero, slope, shift }) => {
-                TemperatureKind::Linear(LinearInput {
+                TemperatureInputKind::Linear(LinearInput {
                     zero_counts: to_user_value(zero, SUBCOUNTS_PER_COUNT),
                     counts_per_c: decompile_counts_per_c(slope, shift),
                     scale: CountScale::Code,
@@ -224,8 +224,10 @@ pub(super) fn decompile(
             }
         };
         let max_c_per_min = (tenths > 0).then(|| f64::from(tenths) / RATE_UNITS_PER_KELVIN_PER_MIN);
-        temperatures
-            .insert(temperature_column(channel), TemperatureInput { channel, kind, max_c_per_min });
+        temperatures.insert(
+            temperature_column_name(channel),
+            TemperatureInput { channel, kind, max_c_per_min },
+        );
     }
     let sensor = has_sensor.then_some(DECOMPILED_SENSOR_INPUT);
     let (service_switch, mains) = (guards.service_switch, guards.mains);
@@ -236,7 +238,7 @@ pub(super) fn decompile(
 }
 
 /// A calibration holds channels, not the names of columns.
-pub(super) fn temperature_column(channel: u8) -> String {
+pub(super) fn temperature_column_name(channel: u8) -> String {
     format!("temp_ch{channel}_c")
 }
 

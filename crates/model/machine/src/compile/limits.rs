@@ -1,6 +1,6 @@
 //! How far and how fast an offset may go, and how long silence is tolerated.
 
-use trueup_core::{learned::LearnedLimits, limits::CompensationLimits, units::Nanometres};
+use trueup_core::{learned_changes::LearnedLimits, limits::CompensationLimits, units::Nanometres};
 use trueup_store::calibration::{
     MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S,
     MAX_SLEW_NM_PER_S,

@@ -15,14 +15,14 @@ use crate::{
 };
 
 /// The tables of one pitch section.
-pub(super) struct PitchTables {
+pub(super) struct OwnedPitchTable {
     start: Position,
     step: Interval,
     forward: Vec<[u8; 4]>,
     reverse: Option<Vec<[u8; 4]>>,
 }
 
-impl PitchTables {
+impl OwnedPitchTable {
     pub(super) fn view(&self) -> PitchErrorTable<'_> {
         PitchErrorTable {
             start: self.start,
@@ -36,7 +36,7 @@ impl PitchTables {
 /// Returns a pitch table, and its largest difference from the model in nm.
 pub(super) fn compile_pitch(
     pitch: &machine_file::PitchErrorTable,
-) -> Result<(PitchTables, f64), String> {
+) -> Result<(OwnedPitchTable, f64), String> {
     let start = round_to_i32(pitch.start_mm * POSITION_UNITS_PER_MM)
         .map(Position)
         .ok_or_else(|| format!("starts at {} mm, beyond the board's ±21474 mm", pitch.start_mm))?;
@@ -51,7 +51,7 @@ pub(super) fn compile_pitch(
         });
         stored.collect::<Result<Vec<_>, _>>()
     };
-    let tables = PitchTables {
+    let tables = OwnedPitchTable {
         start,
         step: Interval::new(step),
         forward: points(&pitch.forward_um)?,

@@ -111,7 +111,7 @@ fn max_term_slope(form: &BoardTerm) -> SlopeAtPosition {
         | BoardTerm::Position { um_per_m, .. }
         | BoardTerm::Reversed { um_per_m, .. } => even(um_per_m / 1000.0),
         BoardTerm::Tool { times, .. } | BoardTerm::Condition { times, .. } => match times {
-            Multiplier::Position => even(form.max_amplitude() / 1000.0),
+            Multiplier::Position => even(form.max_category_amplitude() / 1000.0),
             _ => even(0.0),
         },
         BoardTerm::Offset(_)

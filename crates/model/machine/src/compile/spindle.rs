@@ -21,14 +21,14 @@ use crate::{
 };
 
 /// The compiled models of the spindle.
-pub(super) struct SpindleTables {
+pub(super) struct OwnedSpindle {
     sensor: SensorLaw,
     /// With the smoothing factors of its lag, rising and falling.
     temperature: Option<(ThermalLawSegments, [SmoothingFactor; 2])>,
     warmup: Option<(warmup::WarmupModel, OwnedCurve)>,
 }
 
-impl SpindleTables {
+impl OwnedSpindle {
     pub(super) fn compile(
         machine: &Machine,
         falling_s: Option<f64>,

@@ -25,7 +25,7 @@ use super::{
     inputs::find_channel,
     lag,
     part_differences::PartDifferences,
-    pitch::{PitchTables, compile_pitch},
+    pitch::{OwnedPitchTable, compile_pitch},
     squareness::{compile_squareness, linear_axis_to_board},
     thermal,
 };
@@ -64,7 +64,7 @@ pub(super) struct OwnedTerm {
 
 enum OwnedEffect {
     Plain(Effect<'static>),
-    Table(PitchTables),
+    Table(OwnedPitchTable),
     Curve(machine_file::LinearAxis, OwnedCurve),
     Tilt(term::Tilt<OwnedCurve>),
     Tools(category::OwnedToolTable),
@@ -188,12 +188,12 @@ fn compile_effect(
         // The law is the axis's own by now.
         BoardTerm::Offset(_) | BoardTerm::Thermal(_) => return Ok(None),
         BoardTerm::Gain(gain) => {
-            scale_coefficient(gain - 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM)
+            compile_coefficient(gain - 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM)
                 .map(|(m, nm)| (Effect::Gain(m), nm))
         }
         BoardTerm::Curvature(per_um) => {
             let square = (MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM).powi(2) / ONE_Q24;
-            scale_coefficient(per_um / FINE_UNITS_PER_UM * ONE_Q24, square)
+            compile_coefficient(per_um / FINE_UNITS_PER_UM * ONE_Q24, square)
                 .map(|(m, nm)| (Effect::Curvature(m), nm))
         }
         BoardTerm::Saturation(limit_um) => {
@@ -204,7 +204,7 @@ fn compile_effect(
         BoardTerm::SpeedHeat(it) => compile_speed_heat(it),
         BoardTerm::Time { amplitude_um, time_constant_s, .. } => {
             let one = f64::from(UNIT_STEP);
-            scale_coefficient(amplitude_um * FINE_UNITS_PER_UM / one, one).and_then(
+            compile_coefficient(amplitude_um * FINE_UNITS_PER_UM / one, one).and_then(
                 |(amplitude, nm)| {
                     Ok((
                         Effect::Time {
@@ -216,12 +216,12 @@ fn compile_effect(
                 },
             )
         }
-        BoardTerm::Speed(um_per_krpm2) => scale_coefficient(
+        BoardTerm::Speed(um_per_krpm2) => compile_coefficient(
             um_per_krpm2 * FINE_UNITS_PER_UM / 1e6,
             MAX_CHECKED_SPEED_RPM * MAX_CHECKED_SPEED_RPM,
         )
         .map(|(m, nm)| (Effect::Speed(m), nm)),
-        BoardTerm::Load(um_per_n) => scale_coefficient(
+        BoardTerm::Load(um_per_n) => compile_coefficient(
             um_per_n * FINE_UNITS_PER_UM / LOAD_UNITS_PER_NEWTON,
             MAX_CHECKED_LOAD_N * LOAD_UNITS_PER_NEWTON,
         )
@@ -269,7 +269,7 @@ fn compile_effect(
 }
 
 fn compile_heat_effect(channel: u8, it: &TemperatureResponse) -> CompileResult<Effect<'static>> {
-    let (per_temperature, reference, nm) = compile_heat_coefficient(it, 1.0)?;
+    let (per_temperature, reference, nm) = compile_temperature_response(it, 1.0)?;
     let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
 }
@@ -281,17 +281,18 @@ fn compile_heat_slope(channel: u8, it: &TemperatureResponse) -> CompileResult<Ef
     if it.um_per_c.abs() > most {
         return Err(format!("{} µm/(m·K) is beyond the board's ±{most:.0}", it.um_per_c));
     }
-    let (per_temperature, reference, nm) = compile_heat_coefficient(it, HEAT_SLOPE_REFERENCE_M)?;
+    let (per_temperature, reference, nm) =
+        compile_temperature_response(it, HEAT_SLOPE_REFERENCE_M)?;
     let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::HeatSlope { channel, smoothing, reference, per_temperature }, nm))
 }
 
 /// Returns coefficient and reference of heat, of which `units` act at once, and the largest difference in nm.
-fn compile_heat_coefficient(
+fn compile_temperature_response(
     it: &TemperatureResponse,
     units: f64,
 ) -> Result<(ScaledCoefficient, Temperature, f64), String> {
-    let (per_temperature, nm) = scale_coefficient(
+    let (per_temperature, nm) = compile_coefficient(
         it.um_per_c * units * FINE_UNITS_PER_UM / f64::from(Temperature::PER_KELVIN),
         MAX_CHECKED_DEVIATION_K * f64::from(Temperature::PER_KELVIN),
     )?;
@@ -306,7 +307,7 @@ fn compile_speed_heat(it: &SpeedHeatResponse) -> CompileResult<Effect<'static>> 
     let units_per_heating = power.input_units_per_speed_power() / relative_heat_input(power, 1.0);
     let largest = relative_heat_input(power, MAX_CHECKED_SPEED_RPM) * units_per_heating;
     let (per_unit, nm) =
-        scale_coefficient(um_per_unit * FINE_UNITS_PER_UM / units_per_heating, largest)?;
+        compile_coefficient(um_per_unit * FINE_UNITS_PER_UM / units_per_heating, largest)?;
     let smoothing = lag::smoothing_factor(time_constant_s)?;
     Ok((Effect::SpeedHeat { power, smoothing, per_unit }, nm))
 }
@@ -325,7 +326,7 @@ pub(super) fn compile_length(um: f64) -> CompileResult<FineNanometres> {
 }
 
 /// Returns a coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
-pub(crate) fn scale_coefficient(value: f64, largest: f64) -> CompileResult<ScaledCoefficient> {
+pub(crate) fn compile_coefficient(value: f64, largest: f64) -> CompileResult<ScaledCoefficient> {
     const MANTISSA_LIMIT: f64 = (1_u64 << 30) as f64;
     let mantissa = |shift: u8| (value * 2_f64.powi(shift.into())).round();
     let fits = |shift: &u8| mantissa(*shift).abs() < MANTISSA_LIMIT;

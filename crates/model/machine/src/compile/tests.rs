@@ -4,7 +4,7 @@ use trueup_core::{
     calibration::{self, STRAIGHTNESS_AXIS_PAIRS},
     displacement_sensor::{SensorLaw, SensorSlope},
     kinematics::RotaryAxis,
-    learned::LearnedLimits,
+    learned_changes::LearnedLimits,
     tool_direction::ToolDirection,
     units::{Nanometres, Position, SensorReading, Temperature},
 };

@@ -7,13 +7,13 @@ use trueup_core::{
     units::{FineNanometres, Position, Temperature},
 };
 
-use super::{curve::ErrorMessage, inputs::temperature_column, lag::decompile_time_constant_s};
+use super::{curve::ErrorMessage, inputs::temperature_column_name, lag::decompile_time_constant_s};
 use crate::{
     model,
     sections::{TemperatureModel, ThermalLaw, ThermalMode, ThermalRow},
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM,
-        SLOPE_UNITS_PER_KELVIN, TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, to_user_value,
+        SLOPE_UNITS_PER_INVERSE_KELVIN, TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, to_user_value,
     },
 };
 
@@ -62,11 +62,11 @@ pub(super) fn compile_axis_law(
     });
     let masked: Vec<ThermalRow> = masked.collect();
     let pieces = match thermal.table {
-        Some(_) => table_segments(&masked)?,
+        Some(_) => encode_table_segments(&masked)?,
         // One straight line for all temperatures.
         None => vec![encode_law_segment(&masked[0], Some(&masked[1]))?],
     };
-    let difference_nm = axis_difference_nm(thermal, &pieces);
+    let difference_nm = axis_law_difference_nm(thermal, &pieces);
     Ok((pieces, difference_nm))
 }
 
@@ -82,7 +82,7 @@ pub(super) fn compile_spindle_law(
 }
 
 /// Returns a line from row to row; before the first and after the last their values are held.
-fn table_segments(rows: &[ThermalRow]) -> Result<ThermalLawSegments, ErrorMessage> {
+fn encode_table_segments(rows: &[ThermalRow]) -> Result<ThermalLawSegments, ErrorMessage> {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Ok(Vec::new()) };
     let mut pieces = vec![encode_law_segment(first, None)?];
     for pair in rows.windows(2) {
@@ -120,7 +120,7 @@ fn encode_law_segment(
             row.constant_um,
         )?),
         constant_slope: stored(
-            constant_slope * FINE_UNITS_PER_UM * SLOPE_UNITS_PER_KELVIN,
+            constant_slope * FINE_UNITS_PER_UM * SLOPE_UNITS_PER_INVERSE_KELVIN,
             "K0's slope",
             "µm/K",
             constant_slope,
@@ -132,7 +132,7 @@ fn encode_law_segment(
             row.slope_um_per_m,
         )?),
         gradient_slope: stored(
-            gradient_slope * GRADIENT_UNITS_PER_UM_PER_M * SLOPE_UNITS_PER_KELVIN,
+            gradient_slope * GRADIENT_UNITS_PER_UM_PER_M * SLOPE_UNITS_PER_INVERSE_KELVIN,
             "slope",
             "µm/m per K",
             gradient_slope,
@@ -143,7 +143,7 @@ fn encode_law_segment(
 
 /// At every quarter of a kelvin, and 15 m to either side of the origin where the board's lengths
 /// reach so far.
-fn axis_difference_nm(thermal: &ThermalLaw, pieces: &ThermalLawSegments) -> f64 {
+fn axis_law_difference_nm(thermal: &ThermalLaw, pieces: &ThermalLawSegments) -> f64 {
     let law = ThermalExpansionLaw { pieces };
     let mut worst: f64 = 0.0;
     for quarter in CHECKED_TEMPERATURE_RANGE_C.0 * 4..=CHECKED_TEMPERATURE_RANGE_C.1 * 4 {
@@ -174,9 +174,12 @@ pub(super) fn decompile_spindle_temperature(
     let piece =
         temperature.law.pieces.first().map(ThermalLawSegment::from_bytes).unwrap_or_default();
     TemperatureModel {
-        sensor: temperature_column(temperature.channel),
+        sensor: temperature_column_name(temperature.channel),
         reference_c: to_user_value(piece.start.0, TEMPERATURE_UNITS_PER_KELVIN),
-        k_um_per_c: to_user_value(piece.constant_slope, FINE_UNITS_PER_UM * SLOPE_UNITS_PER_KELVIN),
+        k_um_per_c: to_user_value(
+            piece.constant_slope,
+            FINE_UNITS_PER_UM * SLOPE_UNITS_PER_INVERSE_KELVIN,
+        ),
         lag_s: decompile_time_constant_s(temperature.smoothing),
     }
 }
@@ -197,7 +200,7 @@ pub(super) fn decompile_axis_thermal(thermal: &AxisThermalModel<'_>) -> ThermalL
     let starts_at_zero = first.constant == FineNanometres::ZERO && first.gradient == Gradient::ZERO;
     let mut axis = ThermalLaw {
         mode,
-        sensor: temperature_column(thermal.channel),
+        sensor: temperature_column_name(thermal.channel),
         reference_c: 0.0,
         constant_um_per_c: 0.0,
         slope_um_per_m_per_c: 0.0,
@@ -217,10 +220,10 @@ pub(super) fn decompile_axis_thermal(thermal: &AxisThermalModel<'_>) -> ThermalL
     } else {
         axis.reference_c = to_user_value(first.start.0, TEMPERATURE_UNITS_PER_KELVIN);
         axis.constant_um_per_c =
-            to_user_value(first.constant_slope, FINE_UNITS_PER_UM * SLOPE_UNITS_PER_KELVIN);
+            to_user_value(first.constant_slope, FINE_UNITS_PER_UM * SLOPE_UNITS_PER_INVERSE_KELVIN);
         axis.slope_um_per_m_per_c = to_user_value(
             first.gradient_slope,
-            GRADIENT_UNITS_PER_UM_PER_M * SLOPE_UNITS_PER_KELVIN,
+            GRADIENT_UNITS_PER_UM_PER_M * SLOPE_UNITS_PER_INVERSE_KELVIN,
         );
     }
     axis

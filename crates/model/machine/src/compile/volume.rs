@@ -36,7 +36,7 @@ pub(super) struct OwnedVolume {
     points: [[Position; 3]; 3],
     angles: [[(Gradient, OwnedCurve); 3]; 3],
     tool: [Position; 3],
-    rotary: [Option<volumetric_error::RotaryLocation>; 2],
+    rotary: [Option<volumetric_error::RotaryAxisLocation>; 2],
 }
 
 impl OwnedVolume {
@@ -62,7 +62,9 @@ pub(super) fn compile(
     account: &mut PartDifferences<'_>,
 ) -> Result<Option<OwnedVolume>, InputFileError> {
     let it = &machine.volume;
-    let Some(chain) = it.chain.as_ref().filter(|_| it.has_errors()) else { return Ok(None) };
+    let Some(chain) = it.chain.as_ref().filter(|_| it.has_geometric_errors()) else {
+        return Ok(None);
+    };
     let no_angle = || (Gradient::ZERO, OwnedCurve::EMPTY);
     let mut angles: [[_; 3]; 3] = std::array::from_fn(|_| std::array::from_fn(|_| no_angle()));
     for angular in &it.angular {
@@ -130,7 +132,7 @@ fn compile_rotary_location(
     axis: RotaryAxis,
     moves_workpiece: bool,
     account: &mut PartDifferences<'_>,
-) -> Result<volumetric_error::RotaryLocation, InputFileError> {
+) -> Result<volumetric_error::RotaryAxisLocation, InputFileError> {
     let key = format!("rotary.{}", axis.name());
     let known = machine.volume.rotary.iter().find(|location| location.axis == axis);
     let zero = [0.0; 3];
@@ -149,7 +151,7 @@ fn compile_rotary_location(
     let shift = [along(x, 1.0)?, along(y, 1.0)?, along(z, 1.0)?];
     let [a, b, c] = tilt_urad.map(|urad| urad * REFERENCE_LEVER_M);
     let tilt = [along(a, MAX_LEVER_RATIO)?, along(b, MAX_LEVER_RATIO)?, along(c, MAX_LEVER_RATIO)?];
-    Ok(volumetric_error::RotaryLocation {
+    Ok(volumetric_error::RotaryAxisLocation {
         axis: rotary_axis_to_board(axis),
         moves_workpiece,
         point,
@@ -191,7 +193,7 @@ pub(super) fn decompile(
     });
     let rotary = it.rotary.iter().flatten().map(|location| RotaryLocationErrors {
         axis: rotary_axis_from_board(location.axis),
-        point_mm: to_millimetres(location.point),
+        point_mm: positions_to_mm(location.point),
         shift_um: location.shift.map(|um| to_user_value(um.0, FINE_UNITS_PER_UM)),
         tilt_urad: location
             .tilt
@@ -200,15 +202,15 @@ pub(super) fn decompile(
     VolumetricModel {
         chain: Some(chain),
         angular: angular.collect(),
-        point_mm: it.guides.each_ref().map(|guide| to_millimetres(guide.point)),
+        point_mm: it.guides.each_ref().map(|guide| positions_to_mm(guide.point)),
         rotary: rotary
             .filter(|location| !location.is_error_free() || location.point_mm != [0.0; 3])
             .collect(),
-        tool: decompile_tool_tip(to_millimetres(it.tool), direction),
+        tool: decompile_tool_tip(positions_to_mm(it.tool), direction),
     }
 }
 
-fn to_millimetres(places: [Position; 3]) -> [f64; 3] {
+fn positions_to_mm(places: [Position; 3]) -> [f64; 3] {
     places.map(|place| to_user_value(place.0, POSITION_UNITS_PER_MM))
 }
 

@@ -94,14 +94,14 @@ fn max_curve_error(curve: &Curve<'_>, exact: impl Fn(f64) -> f64, last: i32) -> 
 /// Returns the warm-up as a user writes it.
 pub(super) fn decompile(warmup: &SpindleWarmupModel<'_>) -> Warmup {
     /// An exponent that is as good as endless: its growth is full, to the last bit.
-    const MAX_WARMUP_EXPONENT: f64 = 20.0;
+    const SATURATED_EXPONENT: f64 = 20.0;
     let law = &warmup.law;
     let full = f64::from(law.full);
     let exponent = if full > FULL_FRACTION_SCALE {
         let same = |k: f64| (FULL_FRACTION_SCALE / -(-k).exp_m1() - full).abs() < 0.49;
         shortest_decimal(-(-FULL_FRACTION_SCALE / full).ln_1p(), same)
     } else {
-        MAX_WARMUP_EXPONENT
+        SATURATED_EXPONENT
     };
     let lag_s = f64::from(law.lag_ms) / 1_000.0;
     let warm_s =

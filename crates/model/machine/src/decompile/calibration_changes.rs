@@ -10,8 +10,8 @@ use trueup_core::{
 };
 
 use super::calibration_difference::{
-    curve_difference, gradient_difference_nm, law_difference_nm, pitch_difference_nm,
-    spindle_difference_nm, term_difference_nm, volume_difference_nm,
+    curve_difference, gradient_difference_nm, pitch_difference_nm, spindle_difference_nm,
+    term_difference_nm, thermal_law_difference_nm, volume_difference_nm,
 };
 use crate::compile::term::REFERENCE_LEVER_M;
 use crate::unit_conversion::{FINE_UNITS_PER_NM, NM_PER_UM};
@@ -138,7 +138,7 @@ fn append_axis_changes(
         let [old, new] = [a, b].map(|axis| {
             axis.thermal.map_or_else(ThermalExpansionLaw::default, |thermal| thermal.law)
         });
-        let size = law_difference_nm(old, new);
+        let size = thermal_law_difference_nm(old, new);
         note("heat", Some(size), " over 1 m, from -20 to 100 °C");
     }
     if a.pitch != b.pitch {

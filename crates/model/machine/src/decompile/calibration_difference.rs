@@ -53,17 +53,16 @@ pub(super) fn calibration_difference_nm(a: &Calibration<'_>, b: &Calibration<'_>
     for (a, b) in a.squareness.iter().zip(b.squareness) {
         worst = worst.max(gradient_difference_nm(*a, b));
     }
-    let volume =
-        difference_if_both_present(a.volume.as_ref(), b.volume.as_ref(), volume_difference_nm)?;
+    let volume = option_difference(a.volume.as_ref(), b.volume.as_ref(), volume_difference_nm)?;
     worst = worst.max(volume * MAX_LEVER_RATIO);
     for (a, b) in a.terms.iter().zip(&b.terms) {
-        worst = worst.max(difference_if_both_present(a.as_ref(), b.as_ref(), term_difference_nm)?);
+        worst = worst.max(option_difference(a.as_ref(), b.as_ref(), term_difference_nm)?);
     }
     Some(worst)
 }
 
 /// Of two things that are both there, or both not.
-fn difference_if_both_present<T>(
+fn option_difference<T>(
     a: Option<T>,
     b: Option<T>,
     difference: impl Fn(T, T) -> Option<f64>,
@@ -96,12 +95,12 @@ pub(super) fn spindle_difference_nm(
             worst = worst.max(off.abs());
         }
     }
-    let temperature = difference_if_both_present(a.temperature, b.temperature, |a, b| {
-        let laws = law_difference_nm(a.law, b.law)
-            + lag_difference_nm(a.smoothing, b.smoothing, max_law_value_nm(a.law));
+    let temperature = option_difference(a.temperature, b.temperature, |a, b| {
+        let laws = thermal_law_difference_nm(a.law, b.law)
+            + lag_difference_nm(a.smoothing, b.smoothing, max_thermal_law_value_nm(a.law));
         (a.channel == b.channel).then_some(laws)
     })?;
-    let warmup = difference_if_both_present(a.warmup, b.warmup, |a, b| {
+    let warmup = option_difference(a.warmup, b.warmup, |a, b| {
         let max_nm = f64::from(a.law.max.0).abs() / FINE_UNITS_PER_NM;
         let max = f64::from(a.law.max.0.abs_diff(b.law.max.0)) / FINE_UNITS_PER_NM;
         let full = f64::from(a.law.full.abs_diff(b.law.full)) / FULL_FRACTION_SCALE * max_nm;
@@ -130,7 +129,10 @@ fn comparison_temperatures() -> impl Iterator<Item = Temperature> {
 }
 
 /// Of K₀, or of what tanβ makes of 1 m, in nm.
-pub(super) fn law_difference_nm(a: ThermalExpansionLaw<'_>, b: ThermalExpansionLaw<'_>) -> f64 {
+pub(super) fn thermal_law_difference_nm(
+    a: ThermalExpansionLaw<'_>,
+    b: ThermalExpansionLaw<'_>,
+) -> f64 {
     let at = |t| {
         let ((constant_a, gradient_a), (constant_b, gradient_b)) = (a.evaluate(t), b.evaluate(t));
         let constant = f64::from(constant_a.0.abs_diff(constant_b.0)) / FINE_UNITS_PER_NM;
@@ -139,21 +141,21 @@ pub(super) fn law_difference_nm(a: ThermalExpansionLaw<'_>, b: ThermalExpansionL
     comparison_temperatures().map(at).fold(0.0, f64::max)
 }
 
-fn max_law_value_nm(law: ThermalExpansionLaw<'_>) -> f64 {
-    law_difference_nm(law, ThermalExpansionLaw::default())
+fn max_thermal_law_value_nm(law: ThermalExpansionLaw<'_>) -> f64 {
+    thermal_law_difference_nm(law, ThermalExpansionLaw::default())
 }
 
 fn axis_difference_nm(
     a: &calibration::AxisModel<'_>,
     b: &calibration::AxisModel<'_>,
 ) -> Option<f64> {
-    let thermal = difference_if_both_present(a.thermal, b.thermal, |a, b| {
-        let laws = law_difference_nm(a.law, b.law)
-            + lag_difference_nm(a.smoothing, b.smoothing, max_law_value_nm(a.law));
+    let thermal = option_difference(a.thermal, b.thermal, |a, b| {
+        let laws = thermal_law_difference_nm(a.law, b.law)
+            + lag_difference_nm(a.smoothing, b.smoothing, max_thermal_law_value_nm(a.law));
         (a.channel == b.channel && a.origin == b.origin).then_some(laws)
     })?;
-    let pitch = difference_if_both_present(a.pitch, b.pitch, |a, b| pitch_difference_nm(&a, &b))?;
-    let dual = difference_if_both_present(a.dual, b.dual, |a, b| {
+    let pitch = option_difference(a.pitch, b.pitch, |a, b| pitch_difference_nm(&a, &b))?;
+    let dual = option_difference(a.dual, b.dual, |a, b| {
         let off = pitch_difference_nm(&a.pitch, &b.pitch);
         off.filter(|_| a.across == b.across && a.beam == b.beam)
     })?;

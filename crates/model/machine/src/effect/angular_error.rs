@@ -20,11 +20,11 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermContext, TermEntry, Tilt, Value,
-        required_axis, required_number,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, NonlinearParameter, PhysicalLaw, Target, TermContext,
+        TermEntry, Tilt, Value, required_axis, required_number,
     },
-    data_view::{DataView, StartValues, peak_to_peak, target_positions, uniform_knots},
+    data_view::{DataView, StartValues, find_distinct_values, peak_to_peak, uniform_knots},
 };
 use crate::{
     keys::{
@@ -119,9 +119,9 @@ impl PhysicalLaw for AngularError {
         }
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        let tilts = self.0.along.map_or(Input::OwnPosition, Input::Position);
-        vec![Input::Position(self.0.lever), tilts]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        let tilts = self.0.along.map_or(LawInput::OwnPosition, LawInput::Position);
+        vec![LawInput::Position(self.0.lever), tilts]
     }
 
     fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -193,15 +193,15 @@ impl Candidate for AngularError {
                 // Of two axes across, c·P·L is the same whichever of them tilts.
                 if along.is_none_or(|axis| axis < lever) {
                     let angle = AngleProfile::Line(0.0);
-                    with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
+                    with(Self::neutral(along, lever, angle), lever_zero_start_values(lever_mm));
                 }
-                let at = target_positions(mm, 1e-3);
+                let at = find_distinct_values(mm, 1e-3);
                 for controls in [5, 8, 12] {
                     if at.len() >= controls + 2 && survey.group_count() >= 5 * controls {
                         let control_um = vec![0.0; controls];
                         let knots_mm = uniform_knots(&at, controls);
                         let angle = AngleProfile::Curve(BSpline { order: 4, knots_mm, control_um });
-                        with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
+                        with(Self::neutral(along, lever, angle), lever_zero_start_values(lever_mm));
                     }
                 }
             }
@@ -235,24 +235,24 @@ impl Explanation for AngularError {
          autocollimator. The error differs by the angle times the distance."
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let mut parameters = match &self.0.angle {
-            AngleProfile::Line(_) => vec![Parameter::Fitted("urad_per_m", 1, 0.0)],
+            AngleProfile::Line(_) => vec![FindingParameter::Fitted("urad_per_m", 1, 0.0)],
             AngleProfile::Curve(_) => {
                 let mut fitted = self.clone();
                 fitted.set_values(values);
                 let of_spline = |name: &str| SPLINE_KEYS.iter().any(|key| key.name == name);
                 let entries = fitted.entries().into_iter().filter(|(name, _)| of_spline(name));
                 let spline = entries.map(|(key, value)| (key, Some(value))).collect();
-                vec![Parameter::Record("spline", spline)]
+                vec![FindingParameter::Record("spline", spline)]
             }
         };
-        parameters.push(Parameter::Fitted("origin_mm", 0, 0.0));
+        parameters.push(FindingParameter::Fitted("origin_mm", 0, 0.0));
         let stated = self.0.along.map(|axis| ("along", axis)).into_iter();
         parameters.extend(
             stated
                 .chain([("lever", self.0.lever)])
-                .map(|(key, axis)| Parameter::Stated(key, Value::Text(axis.name().into()))),
+                .map(|(key, axis)| FindingParameter::Stated(key, Value::Text(axis.name().into()))),
         );
         parameters
     }
@@ -263,7 +263,7 @@ fn has_key(section: &Section<'_>, key: &str) -> bool {
 }
 
 /// Where the lever may have its zero, to begin from: the machine's own, the ends and the middle.
-fn lever_zero_candidates(lever_mm: &[f64]) -> StartValues {
+fn lever_zero_start_values(lever_mm: &[f64]) -> StartValues {
     let finite = lever_mm.iter().copied().filter(|mm| mm.is_finite());
     let low = finite.fold(f64::INFINITY, f64::min);
     let length = peak_to_peak(lever_mm);

@@ -16,9 +16,9 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value,
-        format_duration,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, NonlinearParameter, PhysicalLaw, Target, TermContext,
+        TermEntry, Value, format_duration,
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     temperature_columns,
@@ -56,7 +56,7 @@ impl AxisExpansion {
     }
 
     /// c, a and b of these values.
-    fn last_amplitudes(values: &[f64]) -> [f64; 3] {
+    fn amplitudes_from_values(values: &[f64]) -> [f64; 3] {
         let first = values.len() - 3;
         [values[first], values[first + 1], values[first + 2]]
     }
@@ -87,9 +87,9 @@ impl PhysicalLaw for AxisExpansion {
         host.thermal.map(|_| "belongs to an axis without [axis.*.thermal], its law is there".into())
     }
 
-    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<LawInput<'_>> {
         let lag_s = nonlinear.first().copied().unwrap_or(0.0);
-        vec![Input::Temperature { column: &self.column, lag_s }, Input::OwnPosition]
+        vec![LawInput::Temperature { column: &self.column, lag_s }, LawInput::OwnPosition]
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -100,7 +100,7 @@ impl PhysicalLaw for AxisExpansion {
     }
 
     fn constant_um(&self, values: &[f64]) -> f64 {
-        let [c, a, b] = Self::last_amplitudes(values);
+        let [c, a, b] = Self::amplitudes_from_values(values);
         if c == 0.0 { 0.0 } else { -a * b / c }
     }
 }
@@ -141,7 +141,7 @@ impl Candidate for AxisExpansion {
         if self.has_lag() {
             self.time_constant_s = values[0];
         }
-        let [c, a, b] = Self::last_amplitudes(values);
+        let [c, a, b] = Self::amplitudes_from_values(values);
         self.um_per_m_per_c = c;
         // Without a growth it has no references.
         if c != 0.0 {
@@ -167,7 +167,7 @@ impl Candidate for AxisExpansion {
                 reference_c: survey.reference_temperature_c(column),
                 origin_mm: (low + high) / 2.0,
             };
-            with(neutral(0.0), StartValues::empty());
+            with(neutral(0.0), StartValues::linear_only());
             with(neutral(1.0), survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
     }
@@ -175,7 +175,7 @@ impl Candidate for AxisExpansion {
 
 impl Explanation for AxisExpansion {
     fn describe(&self, values: &[f64]) -> String {
-        let [c, ..] = Self::last_amplitudes(values);
+        let [c, ..] = Self::amplitudes_from_values(values);
         let behind = if self.has_lag() {
             format!(", behind a time constant of {}", format_duration(values[0]))
         } else {
@@ -202,19 +202,19 @@ impl Explanation for AxisExpansion {
         }
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let mut fitted = self.clone();
         fitted.set_values(values);
         let time_constant = if self.has_lag() {
-            Parameter::Fitted("time_constant_s", 0, 0.0)
+            FindingParameter::Fitted("time_constant_s", 0, 0.0)
         } else {
-            Parameter::Fixed("time_constant_s", 0.0)
+            FindingParameter::Fixed("time_constant_s", 0.0)
         };
         vec![
-            Parameter::Fitted("um_per_m_per_c", values.len() - 3, 0.0),
+            FindingParameter::Fitted("um_per_m_per_c", values.len() - 3, 0.0),
             time_constant,
-            Parameter::Stated("reference_c", Value::Number(fitted.reference_c)),
-            Parameter::Stated("origin_mm", Value::Number(fitted.origin_mm)),
+            FindingParameter::Stated("reference_c", Value::Number(fitted.reference_c)),
+            FindingParameter::Stated("origin_mm", Value::Number(fitted.origin_mm)),
         ]
     }
 }

@@ -5,7 +5,7 @@ use super::cause_spec::BoardTerm;
 impl BoardTerm {
     /// Returns the largest a of a form by tool or condition, without its sign; 0 of all others.
     #[must_use]
-    pub(crate) fn max_amplitude(&self) -> f64 {
+    pub(crate) fn max_category_amplitude(&self) -> f64 {
         match self {
             Self::Tool { tools, other, .. } => {
                 tools.iter().fold(other.abs(), |largest, (_, a)| largest.max(a.abs()))

@@ -38,7 +38,7 @@ pub use crate::keys::section::Value;
 
 /// A column that a law reads, one number a row. A missing one is NaN, and so is what follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Input<'a> {
+pub enum LawInput<'a> {
     /// The prediction so far, in µm.
     Predicted,
     /// The elongation by the machine file alone, in µm.
@@ -125,7 +125,7 @@ pub type TermEntry = (&'static str, Value);
 
 /// A value of a finding, by its name in the table of causes.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Parameter {
+pub enum FindingParameter {
     /// A fitted value by its number, with what is to be added to it.
     Fitted(&'static str, usize, f64),
     /// A fixed value, and so certain.
@@ -204,11 +204,11 @@ pub struct FitSpec {
     /// Its nonlinear values.
     pub nonlinear: &'static [NonlinearParameter],
     /// Range of its only nonlinear value, where the page itself knows it.
-    pub nonlinear_limits: Option<[f64; 2]>,
+    pub nonlinear_parameter_bounds: Option<[f64; 2]>,
     /// How many amplitudes it has. A law without one adds its column unscaled.
     pub amplitudes: usize,
     /// What an amplitude may be; beyond that it is another machine's.
-    pub amplitude_limits: Option<[f64; 2]>,
+    pub amplitude_bounds: Option<[f64; 2]>,
     /// How many neighbours are in each of the lists that its values are, if they are.
     pub list_length: Option<usize>,
     /// Whether its reference (a temperature, a start) is its own, and with it a constant.
@@ -222,9 +222,9 @@ impl FitSpec {
     pub(crate) const DEFAULT: Self = Self {
         tier: 0,
         nonlinear: &[],
-        nonlinear_limits: None,
+        nonlinear_parameter_bounds: None,
         amplitudes: 1,
-        amplitude_limits: None,
+        amplitude_bounds: None,
         list_length: None,
         has_reference: false,
         is_of_instrument: false,
@@ -267,7 +267,7 @@ pub trait PhysicalLaw {
     }
 
     /// Returns the columns that its law reads, in its order.
-    fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<Input<'a>> {
+    fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<LawInput<'a>> {
         Vec::new()
     }
 
@@ -388,7 +388,7 @@ pub trait Explanation {
     }
 
     /// Its values as a finding names them.
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter>;
 }
 
 /// A cause with its numbers, as all of its readers see it.
@@ -403,9 +403,9 @@ pub trait CauseSpec: PhysicalLaw + BoardRepresentation + Candidate + Explanation
         self.fit_spec().nonlinear
     }
 
-    /// Returns [`FitSpec::nonlinear_limits`].
-    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
-        self.fit_spec().nonlinear_limits
+    /// Returns [`FitSpec::nonlinear_parameter_bounds`].
+    fn nonlinear_parameter_bounds(&self) -> Option<[f64; 2]> {
+        self.fit_spec().nonlinear_parameter_bounds
     }
 
     /// Returns [`FitSpec::amplitudes`].
@@ -413,9 +413,9 @@ pub trait CauseSpec: PhysicalLaw + BoardRepresentation + Candidate + Explanation
         self.fit_spec().amplitudes
     }
 
-    /// Returns [`FitSpec::amplitude_limits`].
-    fn amplitude_limits(&self) -> Option<[f64; 2]> {
-        self.fit_spec().amplitude_limits
+    /// Returns [`FitSpec::amplitude_bounds`].
+    fn amplitude_bounds(&self) -> Option<[f64; 2]> {
+        self.fit_spec().amplitude_bounds
     }
 
     /// Returns [`FitSpec::list_length`].

@@ -6,8 +6,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, PhysicalLaw, Target, TermContext, TermEntry, Value,
     },
     data_view::{DataView, StartValues},
 };
@@ -58,8 +58,8 @@ impl PhysicalLaw for CrossAxis {
             .then(|| "is the error of another axis than the one that moves".into())
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Position(self.axis)]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Position(self.axis)]
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -95,7 +95,7 @@ impl Candidate for CrossAxis {
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for axis in survey.other_moving_axes() {
-            with(Self { axis, um_per_m: 0.0 }, StartValues::empty());
+            with(Self { axis, um_per_m: 0.0 }, StartValues::linear_only());
         }
     }
 }
@@ -110,8 +110,8 @@ impl Explanation for CrossAxis {
         "Turn the straight edge by 180° and measure again: what turns with it is the edge's."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
         let axis = Value::Text(self.axis.name().into());
-        vec![Parameter::Fitted("um_per_m", 0, 0.0), Parameter::Stated("axis", axis)]
+        vec![FindingParameter::Fitted("um_per_m", 0, 0.0), FindingParameter::Stated("axis", axis)]
     }
 }

@@ -24,7 +24,7 @@ pub struct StartValues {
 impl StartValues {
     /// Nothing nonlinear.
     #[must_use]
-    pub fn empty() -> Self {
+    pub(crate) fn linear_only() -> Self {
         Self { starts: vec![Vec::new()], searched: 0.0 }
     }
 
@@ -194,7 +194,7 @@ pub fn peak_to_peak(values: &[f64]) -> f64 {
 }
 
 /// Returns the places that the positions stand at, sorted, nearer ones than `share` of the travel as one.
-pub(crate) fn target_positions(values: &[f64], share: f64) -> Vec<f64> {
+pub(crate) fn find_distinct_values(values: &[f64], share: f64) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let least = share * peak_to_peak(values);

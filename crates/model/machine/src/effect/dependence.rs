@@ -16,9 +16,9 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Multiplier, NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
-        format_duration,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, Multiplier, NonlinearParameter, PhysicalLaw, Target,
+        TermEntry, Value, format_duration,
     },
     data_view::{DataView, StartValues},
 };
@@ -123,7 +123,7 @@ impl Dependence {
     }
 
     /// Returns whether it takes two inputs together, or bends or lags behind one so that it imitates other laws.
-    pub(super) fn is_composite(&self) -> bool {
+    pub(super) fn is_flexible(&self) -> bool {
         let has_laws = self.column == SPEED_COLUMN || is_temperature_column(&self.column);
         let is_late_line = self.has_lag() && matches!(self.form, DependenceForm::Line { .. });
         self.minus.is_some() || has_laws || is_late_line
@@ -146,13 +146,13 @@ impl Dependence {
     }
 
     /// Returns what is read of a column that it depends on.
-    fn column_input<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
+    fn column_input<'a>(&self, column: &'a str, lag_s: f64) -> LawInput<'a> {
         match (column, lag_s) {
-            (SPEED_COLUMN, _) => Input::Speed,
-            (LOAD_COLUMN, _) => Input::Load,
-            _ if is_temperature_column(column) => Input::Temperature { column, lag_s },
-            (_, 0.0) => Input::Column(column),
-            _ => Input::Lagged { column, lag_s },
+            (SPEED_COLUMN, _) => LawInput::Speed,
+            (LOAD_COLUMN, _) => LawInput::Load,
+            _ if is_temperature_column(column) => LawInput::Temperature { column, lag_s },
+            (_, 0.0) => LawInput::Column(column),
+            _ => LawInput::Lagged { column, lag_s },
         }
     }
 
@@ -248,13 +248,13 @@ impl PhysicalLaw for Dependence {
         }
     }
 
-    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<LawInput<'_>> {
         let lag_s = match nonlinear.first() {
             Some(lag_s) if self.has_lag() => *lag_s,
             _ => 0.0,
         };
         let columns = [Some(&self.column), self.minus.as_ref()];
-        let mut inputs: Vec<Input<'_>> =
+        let mut inputs: Vec<LawInput<'_>> =
             columns.into_iter().flatten().map(|column| self.column_input(column, lag_s)).collect();
         inputs.extend(self.times.input());
         inputs
@@ -332,7 +332,7 @@ impl Candidate for Dependence {
                 _ if self.has_lag() => &[NonlinearParameter::TimeConstant],
                 _ => &[],
             },
-            nonlinear_limits: match self.form {
+            nonlinear_parameter_bounds: match self.form {
                 DependenceForm::Hinge { range, .. } => Some(range),
                 _ => self.times.fitted_reference_range(),
             },
@@ -457,7 +457,7 @@ impl Explanation for Dependence {
         "Change this column alone, twice, with all else at rest, and read before and after each change."
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let [slope_key, level_key] = self.times.keys().map(|key| key.name);
         let late = self.fit_spec().nonlinear.len();
         let list = |key, places, at: &Vec<f64>, without| {
@@ -467,24 +467,27 @@ impl Explanation for Dependence {
                 (places, Some(Value::Numbers(at.clone()))),
                 (key, Some(Value::Numbers(added))),
             ];
-            vec![Parameter::Record(key, record)]
+            vec![FindingParameter::Record(key, record)]
         };
         let mut all = match &self.form {
             DependenceForm::Level { levels, .. } => {
                 list(level_key, "levels", levels, self.reference_level_count())
             }
             DependenceForm::Curve { at, .. } => list("curve_um", "at", at, 1),
-            DependenceForm::Constant { .. } => vec![Parameter::Fitted(level_key, 0, 0.0)],
+            DependenceForm::Constant { .. } => vec![FindingParameter::Fitted(level_key, 0, 0.0)],
             DependenceForm::Line { reference, .. } => vec![
-                Parameter::Fitted(slope_key, late, 0.0),
-                Parameter::Fixed("reference", *reference),
+                FindingParameter::Fitted(slope_key, late, 0.0),
+                FindingParameter::Fixed("reference", *reference),
             ],
             DependenceForm::Hinge { .. } => {
-                vec![Parameter::Fitted(slope_key, 1, 0.0), Parameter::Fitted("from", 0, 0.0)]
+                vec![
+                    FindingParameter::Fitted(slope_key, 1, 0.0),
+                    FindingParameter::Fitted("from", 0, 0.0),
+                ]
             }
         };
-        all.extend(self.has_lag().then_some(Parameter::Fitted("lag_s", 0, 0.0)));
-        let reference = Parameter::Fitted("times_reference", 0, 0.0);
+        all.extend(self.has_lag().then_some(FindingParameter::Fitted("lag_s", 0, 0.0)));
+        let reference = FindingParameter::Fitted("times_reference", 0, 0.0);
         all.extend(self.times.fitted_reference_range().map(|_| reference));
         all
     }

@@ -9,10 +9,10 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Parameter,
-        PhysicalLaw, Target, TermEntry, Value, required_number,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FindingParameter, FitSpec,
+        LawInput, PhysicalLaw, Target, TermEntry, Value, required_number,
     },
-    data_view::{DataView, StartValues, target_positions},
+    data_view::{DataView, StartValues, find_distinct_values},
 };
 use crate::{
     keys::{
@@ -89,10 +89,10 @@ impl PhysicalLaw for Drift {
         Target::Any
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
         vec![match self {
-            Self::InTime { .. } => Input::Time,
-            Self::ByRun { .. } => Input::Run,
+            Self::InTime { .. } => LawInput::Time,
+            Self::ByRun { .. } => LawInput::Run,
         }]
     }
 
@@ -133,13 +133,14 @@ impl Candidate for Drift {
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.time_range_s().is_some() {
-            with(Self::InTime { um_per_h: 0.0 }, StartValues::empty());
-        } else if let Some(run) =
-            survey.column("run").filter(|run| target_positions(run, 1e-3).len() >= MIN_DRIFT_RUNS)
+            with(Self::InTime { um_per_h: 0.0 }, StartValues::linear_only());
+        } else if let Some(run) = survey
+            .column("run")
+            .filter(|run| find_distinct_values(run, 1e-3).len() >= MIN_DRIFT_RUNS)
         {
             let known = || run.iter().filter(|run| run.is_finite());
             let reference_run = known().sum::<f64>() / known().count() as f64;
-            with(Self::ByRun { um_per_run: 0.0, reference_run }, StartValues::empty());
+            with(Self::ByRun { um_per_run: 0.0, reference_run }, StartValues::linear_only());
         }
     }
 }
@@ -173,7 +174,7 @@ impl Explanation for Drift {
         )
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted(self.rate_entry().0, 0, 0.0)]
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
+        vec![FindingParameter::Fitted(self.rate_entry().0, 0, 0.0)]
     }
 }

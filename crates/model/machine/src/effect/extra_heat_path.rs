@@ -9,9 +9,9 @@ use trueup_core::term::SpeedExponent;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
-        HeatPath, Input, NonlinearParameter, Parameter, PhysicalLaw, SpeedHeatResponse, Target,
-        TemperatureResponse, TermEntry, Value, format_duration,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, HeatPath, LawInput, NonlinearParameter, PhysicalLaw,
+        SpeedHeatResponse, Target, TemperatureResponse, TermEntry, Value, format_duration,
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     dependence::SPEED_COLUMN,
@@ -79,7 +79,7 @@ fn input_name_and_key(power: SpeedExponent) -> [&'static str; 2] {
 }
 
 /// Returns the power of the speed that `section` is about: by `input`, else by the key of c.
-fn speed_exponent(section: &Section<'_>) -> SpeedExponent {
+fn infer_speed_exponent(section: &Section<'_>) -> SpeedExponent {
     let input = section.text(INPUT.name).ok().flatten();
     let keys = section.keys();
     let is_it = |(_, name, key): &(SpeedExponent, &str, Key)| match input {
@@ -103,7 +103,7 @@ impl FileRepresentation for ExtraHeatPath {
     const NAME: &'static str = "extra-heat-path";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        match (is_speed_driven(section), speed_exponent(section)) {
+        match (is_speed_driven(section), infer_speed_exponent(section)) {
             (false, _) => &[COLUMN.name, UM_PER_C.name, TIME_CONSTANT_S.name, REFERENCE_C.name],
             (_, SpeedExponent::First) => {
                 &[COLUMN.name, INPUT.name, UM_PER_KRPM.name, TIME_CONSTANT_S.name]
@@ -124,7 +124,7 @@ impl FileRepresentation for ExtraHeatPath {
             );
         }
         let choices = SPEED_EXPONENTS.map(|(power, input, _)| (input, power));
-        let power = section.choice(INPUT.name, &choices)?.unwrap_or(speed_exponent(section));
+        let power = section.choice(INPUT.name, &choices)?.unwrap_or(infer_speed_exponent(section));
         let [_, key] = input_name_and_key(power);
         Ok(Self::OfSpeed(SpeedHeatResponse {
             power,
@@ -154,11 +154,11 @@ impl PhysicalLaw for ExtraHeatPath {
         Target::Heat
     }
 
-    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<LawInput<'_>> {
         let lag_s = nonlinear.first().copied().unwrap_or(0.0);
         match self {
             Self::OfTemperature(heat) => temperature_columns::temperature_inputs(heat, lag_s),
-            Self::OfSpeed(heat) => vec![Input::SpeedHeat { power: heat.power, lag_s }],
+            Self::OfSpeed(heat) => vec![LawInput::SpeedHeat { power: heat.power, lag_s }],
         }
     }
 
@@ -202,7 +202,7 @@ impl Candidate for ExtraHeatPath {
         FitSpec {
             tier: 1,
             nonlinear: if self.has_lag() { &[NonlinearParameter::TimeConstant] } else { &[] },
-            nonlinear_limits: {
+            nonlinear_parameter_bounds: {
                 let is_slow = matches!(self, Self::OfSpeed(_)) && self.has_lag();
                 is_slow.then_some([MIN_TIME_CONSTANT_S, f64::INFINITY])
             },
@@ -244,7 +244,7 @@ impl Candidate for ExtraHeatPath {
             let of = |has_lag| {
                 Self::OfTemperature(temperature_columns::neutral(survey, column, has_lag))
             };
-            with(of(false), StartValues::empty());
+            with(of(false), StartValues::linear_only());
             with(of(true), survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS));
         }
         // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.
@@ -303,16 +303,16 @@ impl Explanation for ExtraHeatPath {
         )
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
-        let amplitude = Parameter::Fitted(self.amplitude_key(), values.len() - 1, 0.0);
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
+        let amplitude = FindingParameter::Fitted(self.amplitude_key(), values.len() - 1, 0.0);
         let time_constant = if self.has_lag() {
-            Parameter::Fitted("time_constant_s", 0, 0.0)
+            FindingParameter::Fitted("time_constant_s", 0, 0.0)
         } else {
-            Parameter::Fixed("time_constant_s", 0.0)
+            FindingParameter::Fixed("time_constant_s", 0.0)
         };
         let mut all = vec![amplitude, time_constant];
         if let Self::OfSpeed(heat) = self {
-            all.push(Parameter::Stated(
+            all.push(FindingParameter::Stated(
                 "input",
                 Value::Text(input_name_and_key(heat.power)[0].into()),
             ));

@@ -12,8 +12,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Parameter, PhysicalLaw, Target, TermEntry, Value,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, PhysicalLaw, Target, TermEntry, Value,
     },
     data_view::{DataView, StartValues},
 };
@@ -55,7 +55,7 @@ impl FeedDependentBacklash {
     }
 
     /// Returns the two feeds around one, by their places, and how far it is from the first to the second.
-    fn bracketing_feeds(&self, feed_mm_per_min: f64) -> (usize, usize, f64) {
+    fn bracketing_feed_indices(&self, feed_mm_per_min: f64) -> (usize, usize, f64) {
         let feeds = &self.feeds_mm_per_min;
         let above = feeds.partition_point(|feed| *feed <= feed_mm_per_min);
         let above = above.clamp(1, feeds.len() - 1);
@@ -65,7 +65,7 @@ impl FeedDependentBacklash {
 
     /// Returns the width of the one feed that is corrected, in µm.
     fn corrected_width_um(&self) -> f64 {
-        let (low, high, share) = self.bracketing_feeds(self.at_feed_mm_per_min);
+        let (low, high, share) = self.bracketing_feed_indices(self.at_feed_mm_per_min);
         (1.0 - share) * self.width_um[low] + share * self.width_um[high]
     }
 }
@@ -109,14 +109,14 @@ impl PhysicalLaw for FeedDependentBacklash {
         Target::Axis
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Feed, Input::OwnDirection]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Feed, LawInput::OwnDirection]
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         if is_negative_direction(x[1]) {
             let feed = if x[0].is_finite() { x[0] } else { self.at_feed_mm_per_min };
-            let (low, high, share) = self.bracketing_feeds(feed);
+            let (low, high, share) = self.bracketing_feed_indices(feed);
             add(low, 1.0 - share);
             add(high, share);
         }
@@ -154,7 +154,7 @@ impl Candidate for FeedDependentBacklash {
         }
         let feeds = survey.column(FEED_COLUMN).map(find_feeds).unwrap_or_default();
         if feeds.len() >= 2 {
-            with(Self::neutral(feeds), StartValues::empty());
+            with(Self::neutral(feeds), StartValues::linear_only());
         }
     }
 }
@@ -191,11 +191,11 @@ impl Explanation for FeedDependentBacklash {
         )
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let mut found = self.clone();
         found.set_values(values);
         let record = found.entries().into_iter().map(|(key, value)| (key, Some(value)));
-        vec![Parameter::Record("width_um", record.collect())]
+        vec![FindingParameter::Record("width_um", record.collect())]
     }
 }
 

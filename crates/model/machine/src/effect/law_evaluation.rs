@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::cause_spec::{CauseSpec, Input};
+use super::cause_spec::{CauseSpec, LawInput};
 
 /// No law reads more columns than that.
 const MAX_LAW_INPUTS: usize = 4;
@@ -12,7 +12,7 @@ pub trait ColumnSource {
     /// Returns how many numbers are in each column.
     fn row_count(&self) -> usize;
     /// Returns the column of an input.
-    fn column(&self, input: &Input<'_>) -> Cow<'_, [f64]>;
+    fn column(&self, input: &LawInput<'_>) -> Cow<'_, [f64]>;
 }
 
 /// Returns what each amplitude of 1 adds, in µm, row by row: a column an amplitude, or the only one where

@@ -61,8 +61,8 @@ use std::ops::{Deref, DerefMut};
 
 pub use board_term::relative_heat_input;
 pub use cause_spec::{
-    BoardRepresentation, BoardTerm, Candidate, CauseSpec, DelayKind, Explanation, FitSpec,
-    HeatPath, Input, ModelConstants, Multiplier, NonlinearParameter, Parameter, PhysicalLaw,
+    BoardRepresentation, BoardTerm, Candidate, CauseSpec, DelayKind, Explanation, FindingParameter,
+    FitSpec, HeatPath, LawInput, ModelConstants, Multiplier, NonlinearParameter, PhysicalLaw,
     PredictionStage, SpeedHeatResponse, Target, TemperatureResponse, TermContext, TermEntry,
     ThermometerDelay, Tilt, Value,
 };
@@ -117,7 +117,7 @@ macro_rules! causes {
             }
 
             /// Returns the range of the numbers of `key`, if it is another one of this cause than the key's own.
-            pub(crate) fn own_range(self, key: &str) -> Option<PlausibleRange> {
+            pub(crate) fn range_override(self, key: &str) -> Option<PlausibleRange> {
                 match self { $(Self::$CauseSpec => $CauseSpec::range_override(key),)* }
             }
 
@@ -300,10 +300,10 @@ impl Effect {
     /// Returns whether it takes two recorded inputs together (the difference of two, a range of one), or bends or lags
     /// behind one so that it imitates other laws.
     #[must_use]
-    pub fn is_composite(&self) -> bool {
+    pub fn is_flexible(&self) -> bool {
         match self {
             Self::RangeLimited(_) => true,
-            Self::Dependence(page) => page.is_composite(),
+            Self::Dependence(page) => page.is_flexible(),
             _ => false,
         }
     }
@@ -327,12 +327,12 @@ impl Effect {
     pub fn input_column(&self) -> Option<String> {
         let first = self.required_inputs().first().copied()?;
         match first {
-            Input::Temperature { column, .. } => Some(column.into()),
-            Input::Speed | Input::SpeedHeat { .. } => Some("spindle_rpm".into()),
-            Input::Load => Some("load_n".into()),
-            Input::Feed => Some(feed_dependent_backlash::FEED_COLUMN.into()),
-            Input::Position(axis) => Some(format!("{}_mm", axis.name())),
-            Input::Column(column) | Input::Lagged { column, .. } => Some(column.into()),
+            LawInput::Temperature { column, .. } => Some(column.into()),
+            LawInput::Speed | LawInput::SpeedHeat { .. } => Some("spindle_rpm".into()),
+            LawInput::Load => Some("load_n".into()),
+            LawInput::Feed => Some(feed_dependent_backlash::FEED_COLUMN.into()),
+            LawInput::Position(axis) => Some(format!("{}_mm", axis.name())),
+            LawInput::Column(column) | LawInput::Lagged { column, .. } => Some(column.into()),
             _ => None,
         }
     }
@@ -343,25 +343,28 @@ impl Effect {
         let mut columns = Vec::new();
         for input in self.required_inputs() {
             match input {
-                Input::Time => columns.push("time_s".into()),
+                LawInput::Time => columns.push("time_s".into()),
                 // A record that is of no run is of the middle one, and one that does not say its feed is at
                 // that which is corrected.
-                Input::Run | Input::Feed => {}
-                Input::Temperature { column, lag_s } => {
+                LawInput::Run | LawInput::Feed => {}
+                LawInput::Temperature { column, lag_s } => {
                     columns.push(column.into());
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));
                 }
-                Input::Speed => columns.push("spindle_rpm".into()),
-                Input::SpeedHeat { lag_s, .. } => {
+                LawInput::Speed => columns.push("spindle_rpm".into()),
+                LawInput::SpeedHeat { lag_s, .. } => {
                     columns.push("spindle_rpm".into());
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));
                 }
-                Input::Load => columns.push("load_n".into()),
-                Input::OwnPosition => columns.extend(quantity.axis().map(position)),
-                Input::Position(axis) => columns.push(position(axis)),
-                Input::Column(column) => columns.push(column.into()),
-                Input::Lagged { column, .. } => columns.extend([column.into(), "time_s".into()]),
-                Input::Predicted | Input::Law | Input::Believed | Input::OwnDirection => {}
+                LawInput::Load => columns.push("load_n".into()),
+                LawInput::OwnPosition => columns.extend(quantity.axis().map(position)),
+                LawInput::Position(axis) => columns.push(position(axis)),
+                LawInput::Column(column) => columns.push(column.into()),
+                LawInput::Lagged { column, .. } => columns.extend([column.into(), "time_s".into()]),
+                LawInput::Predicted
+                | LawInput::Law
+                | LawInput::Believed
+                | LawInput::OwnDirection => {}
             }
         }
         columns
@@ -369,7 +372,7 @@ impl Effect {
 
     /// Returns the columns that its law reads with its own values.
     #[must_use]
-    pub fn required_inputs(&self) -> Vec<Input<'_>> {
+    pub fn required_inputs(&self) -> Vec<LawInput<'_>> {
         let mut nonlinear = self.values();
         nonlinear.truncate(self.nonlinear_parameters().len());
         self.inputs(&nonlinear)
@@ -379,7 +382,7 @@ impl Effect {
     #[must_use]
     pub fn temperature_column(&self) -> Option<String> {
         self.required_inputs().into_iter().find_map(|input| match input {
-            Input::Temperature { column, .. } => Some(column.into()),
+            LawInput::Temperature { column, .. } => Some(column.into()),
             _ => None,
         })
     }
@@ -402,21 +405,22 @@ impl Effect {
     #[must_use]
     pub fn depends_on_own_axis_only(&self) -> bool {
         let inputs = self.required_inputs();
-        let is_own = |input: &Input<'_>| matches!(input, Input::OwnPosition | Input::OwnDirection);
+        let is_own =
+            |input: &LawInput<'_>| matches!(input, LawInput::OwnPosition | LawInput::OwnDirection);
         self.target() == Target::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
     }
 
     /// Returns whether it depends on the direction in which its own axis was approached.
     #[must_use]
     pub fn depends_on_direction(&self) -> bool {
-        self.required_inputs().contains(&Input::OwnDirection)
+        self.required_inputs().contains(&LawInput::OwnDirection)
     }
 
     /// Returns the part of it that a machine runs without the feed, which no control or board knows while it corrects:
     /// the width of one feed where it depends on the feed, else all of it.
     #[must_use]
-    pub fn without_feed(&self) -> Self {
-        if !self.required_inputs().contains(&Input::Feed) {
+    pub fn without_feed_dependence(&self) -> Self {
+        if !self.required_inputs().contains(&LawInput::Feed) {
             return self.clone();
         }
         let forms = self.board_terms();
@@ -427,7 +431,7 @@ impl Effect {
     /// Returns whether its law reads the clock.
     #[must_use]
     pub fn depends_on_time(&self) -> bool {
-        self.required_inputs().contains(&Input::Time)
+        self.required_inputs().contains(&LawInput::Time)
     }
 
     /// Returns whether it is looked for at a time that is searched, not fitted.

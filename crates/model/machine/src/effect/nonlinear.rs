@@ -23,7 +23,7 @@ pub enum NonlinearParameter {
     Limit,
     /// A time in s. It is searched, not fitted.
     Instant,
-    /// The value of a column from which a line begins, within [`FitSpec::nonlinear_limits`](super::FitSpec::nonlinear_limits).
+    /// The value of a column from which a line begins, within [`FitSpec::nonlinear_parameter_bounds`](super::FitSpec::nonlinear_parameter_bounds).
     Bend,
 }
 

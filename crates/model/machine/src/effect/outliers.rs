@@ -1,8 +1,8 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are excluded.
 
 use super::cause_spec::{
-    BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Parameter,
-    PhysicalLaw, Target, TermEntry,
+    BoardRepresentation, Candidate, Explanation, FileRepresentation, FindingParameter, FitSpec,
+    LawInput, PhysicalLaw, Target, TermEntry,
 };
 use crate::{
     keys::{
@@ -43,7 +43,7 @@ impl PhysicalLaw for Outliers {
         Target::Any
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
         Vec::new()
     }
 }
@@ -75,7 +75,7 @@ impl Explanation for Outliers {
         "Look at what happened at these readings, and measure them again."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
         Vec::new()
     }
 }

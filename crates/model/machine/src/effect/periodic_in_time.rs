@@ -11,8 +11,8 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value, required_number,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FindingParameter, FitSpec,
+        LawInput, NonlinearParameter, PhysicalLaw, Target, TermEntry, Value, required_number,
         required_positive_number,
     },
     data_view::{DataView, SpectrumVariable, StartValues},
@@ -80,8 +80,8 @@ impl PhysicalLaw for PeriodicInTime {
         Target::Any
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Time]
     }
 
     fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -129,7 +129,7 @@ impl Candidate for PeriodicInTime {
         if let Some(peak) =
             survey.spectrum_peak_start_values(SpectrumVariable::Time, MIN_CYCLES, FREQUENCY_COUNT)
             && peak.starts[0][0] >= shortest_s
-            && !correlates_with_input(survey, peak.starts[0][0])
+            && !any_input_has_period(survey, peak.starts[0][0])
         {
             with(Self::neutral(survey.time_origin_s()), peak);
         }
@@ -162,14 +162,14 @@ impl Explanation for PeriodicInTime {
         Some(super::PitchPeriodic::NAME)
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Waves("period_s", vec![1])]
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
+        vec![FindingParameter::Waves("period_s", vec![1])]
     }
 }
 
 /// Returns true where something that was recorded has this period too, or with one that the record hardly
 /// shows apart: a law of that input that changes in the record has such periods next to the input's own.
-fn correlates_with_input(survey: &dyn DataView, period_s: f64) -> bool {
+fn any_input_has_period(survey: &dyn DataView, period_s: f64) -> bool {
     /// Share of an input's squares that is of this period.
     const MIN_VARIANCE_FRACTION: f64 = 0.25;
     /// Turns in the record, more and fewer.

@@ -6,10 +6,10 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Parameter, PhysicalLaw, Target, TermEntry,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, PhysicalLaw, Target, TermEntry,
     },
-    data_view::{DataView, StartValues, peak_to_peak, target_positions},
+    data_view::{DataView, StartValues, find_distinct_values, peak_to_peak},
 };
 use crate::{
     keys::{
@@ -52,9 +52,9 @@ impl PhysicalLaw for PitchError {
         Target::Axis
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        let direction = self.0.reverse_um.as_ref().map(|_| Input::OwnDirection);
-        [Input::OwnPosition].into_iter().chain(direction).collect()
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        let direction = self.0.reverse_um.as_ref().map(|_| LawInput::OwnDirection);
+        [LawInput::OwnPosition].into_iter().chain(direction).collect()
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -122,14 +122,14 @@ impl Candidate for PitchError {
         if survey.has_cause(Self::NAME) {
             return;
         }
-        for (start_mm, step_mm, points) in candidate_tables(own, survey.group_count()) {
+        for (start_mm, step_mm, points) in candidate_table_grids(own, survey.group_count()) {
             for both_ways in [false, true] {
                 if (!both_ways || survey.is_bidirectional()) && points >= 3 {
                     let forward_um = vec![0.0; points];
                     let reverse_um = both_ways.then(|| forward_um.clone());
                     with(
                         Self(PitchErrorTable { start_mm, step_mm, forward_um, reverse_um }),
-                        StartValues::empty(),
+                        StartValues::linear_only(),
                     );
                 }
             }
@@ -157,7 +157,7 @@ impl Explanation for PitchError {
         )
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let mut table = self.clone();
         table.set_values(values);
         let mut record: Vec<_> =
@@ -165,14 +165,14 @@ impl Explanation for PitchError {
         if self.0.reverse_um.is_none() {
             record.push(("reverse_um", None));
         }
-        vec![Parameter::Record("table", record)]
+        vec![FindingParameter::Record("table", record)]
     }
 }
 
 /// Tables (start, step, points) that the positions allow: at the targets where these are few and
 /// evenly spaced, else even ones of growing fineness.
-fn candidate_tables(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
-    let at = target_positions(own, 2e-3);
+fn candidate_table_grids(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
+    let at = find_distinct_values(own, 2e-3);
     let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Vec::new() };
     let even = (last - first) / (at.len() as f64 - 1.0);
     let is_even = at.windows(2).all(|pair| ((pair[1] - pair[0]) - even).abs() < 0.05 * even.abs());

@@ -8,11 +8,11 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
-        required_positive_number,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, NonlinearParameter, PhysicalLaw, Target, TermEntry,
+        Value, required_positive_number,
     },
-    data_view::{DataView, SpectrumVariable, StartValues, target_positions},
+    data_view::{DataView, SpectrumVariable, StartValues, find_distinct_values},
     wave::{self, Wave},
 };
 use crate::{
@@ -64,8 +64,8 @@ impl PhysicalLaw for PitchPeriodic {
         Target::Axis
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::OwnPosition]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::OwnPosition]
     }
 
     fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -131,7 +131,7 @@ impl Candidate for PitchPeriodic {
         if survey.quantity().axis().is_none() || survey.has_instrument_error() {
             return;
         }
-        let places = target_positions(survey.own_position_mm().unwrap_or(&[]), 1e-3);
+        let places = find_distinct_values(survey.own_position_mm().unwrap_or(&[]), 1e-3);
         if places.len() < MIN_TARGET_POSITIONS {
             return;
         }
@@ -180,15 +180,15 @@ impl Explanation for PitchPeriodic {
         Some(super::PeriodicInTime::NAME)
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let harmonics = self.waves.iter().map(|wave| wave.harmonic).collect();
-        let mut parameters = vec![Parameter::Waves("period_mm", harmonics)];
+        let mut parameters = vec![FindingParameter::Waves("period_mm", harmonics)];
         if self.waves.len() > 1 {
             let mut fitted = self.clone();
             fitted.set_values(values);
             let records = fitted.waves.iter().copied().map(Wave::to_entries).collect();
-            parameters.push(Parameter::Records("harmonics", records));
-            parameters.push(Parameter::Stated("turn_mm", Value::Number(values[0])));
+            parameters.push(FindingParameter::Records("harmonics", records));
+            parameters.push(FindingParameter::Stated("turn_mm", Value::Number(values[0])));
         }
         parameters
     }

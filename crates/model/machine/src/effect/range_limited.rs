@@ -6,8 +6,8 @@
 use super::{
     Effect,
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FitSpec, Input, Multiplier, Parameter,
-        PhysicalLaw, PredictionStage, Target, TermContext, TermEntry, Value,
+        BoardRepresentation, Candidate, Explanation, FindingParameter, FitSpec, LawInput,
+        Multiplier, PhysicalLaw, PredictionStage, Target, TermContext, TermEntry, Value,
     },
     data_view::{DataView, StartValues, peak_to_peak},
     dependence::{Dependence, DependenceForm, SPEED_COLUMN},
@@ -105,17 +105,17 @@ impl RangeLimited {
     }
 
     /// Returns what is read of the run for the range.
-    fn input(&self) -> Input<'_> {
+    fn input(&self) -> LawInput<'_> {
         let axis =
             LinearAxis::ALL.into_iter().find(|axis| self.column == format!("{}_mm", axis.name()));
         match (&self.column[..], axis) {
-            (_, Some(axis)) => Input::Position(axis),
-            (SPEED_COLUMN, _) => Input::Speed,
-            ("load_n", _) => Input::Load,
+            (_, Some(axis)) => LawInput::Position(axis),
+            (SPEED_COLUMN, _) => LawInput::Speed,
+            ("load_n", _) => LawInput::Load,
             (column, _) if is_temperature_column(column) => {
-                Input::Temperature { column, lag_s: 0.0 }
+                LawInput::Temperature { column, lag_s: 0.0 }
             }
-            (column, _) => Input::Column(column),
+            (column, _) => LawInput::Column(column),
         }
     }
 
@@ -190,7 +190,7 @@ impl PhysicalLaw for RangeLimited {
         self.effect.refusal(host)
     }
 
-    fn inputs<'a>(&'a self, nonlinear: &[f64]) -> Vec<Input<'a>> {
+    fn inputs<'a>(&'a self, nonlinear: &[f64]) -> Vec<LawInput<'a>> {
         let mut inputs = self.effect.inputs(nonlinear);
         inputs.push(self.input());
         inputs
@@ -230,7 +230,7 @@ impl Explanation for RangeLimited {
         "Measure on both sides of the bound and near it, with all else at rest, twice."
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         self.effect.parameters(values)
     }
 }
@@ -257,7 +257,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartV
                 let within = RangeLimited { effect, column, side, bound };
                 with(
                     Effect::RangeLimited(within),
-                    StartValues { searched, ..StartValues::empty() },
+                    StartValues { searched, ..StartValues::linear_only() },
                 );
             };
             let mut level = |times| {

@@ -13,8 +13,8 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry, Value,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FindingParameter, FitSpec,
+        LawInput, NonlinearParameter, PhysicalLaw, Target, TermEntry, Value,
     },
     data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
@@ -131,12 +131,12 @@ impl PhysicalLaw for ReferenceInstrument {
         Target::Any
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
         match &self.read {
             _ if self.waves.is_empty() => Vec::new(),
-            WaveVariable::Position => vec![Input::OwnPosition],
-            WaveVariable::Elongation => vec![Input::Believed],
-            WaveVariable::Column(column) => vec![Input::Column(column)],
+            WaveVariable::Position => vec![LawInput::OwnPosition],
+            WaveVariable::Elongation => vec![LawInput::Believed],
+            WaveVariable::Column(column) => vec![LawInput::Column(column)],
         }
     }
 
@@ -232,8 +232,11 @@ impl Explanation for ReferenceInstrument {
          what shifts with it is its own."
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let description = Value::Text(self.describe_error(values));
-        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Stated("description", description)]
+        vec![
+            FindingParameter::Waves("period_mm", vec![1]),
+            FindingParameter::Stated("description", description),
+        ]
     }
 }

@@ -21,9 +21,10 @@ pub use thermal_constants::{
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        ModelConstants, NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target,
-        TermContext, TermEntry, Value, required_number, required_positive_number,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, ModelConstants, NonlinearParameter, PhysicalLaw,
+        PredictionStage, Target, TermContext, TermEntry, Value, required_number,
+        required_positive_number,
     },
     data_view::{DataView, StartValues},
 };
@@ -55,10 +56,10 @@ struct ScalarCause {
     neutral: NeutralValue,
     /// Whether the number in a file must be above 0.
     is_positive: bool,
-    inputs: &'static [Input<'static>],
+    inputs: &'static [LawInput<'static>],
     /// The kind of the number; none: it is an amplitude.
     nonlinear: &'static [NonlinearParameter],
-    amplitude_limits: Option<[f64; 2]>,
+    amplitude_bounds: Option<[f64; 2]>,
     /// None: an amplitude adds nothing by itself.
     law: Option<LawFn>,
     refusal: fn(&TermContext<'_>) -> Option<String>,
@@ -87,7 +88,7 @@ impl ScalarCause {
         is_positive: false,
         inputs: &[],
         nonlinear: &[],
-        amplitude_limits: None,
+        amplitude_bounds: None,
         law: None,
         refusal: |_| None,
         correct: |_, _| {},
@@ -184,7 +185,7 @@ impl<T: ScalarParameter> PhysicalLaw for T {
         T::DEFINITION.stage
     }
 
-    fn inputs<'a>(&'a self, _: &[f64]) -> Vec<Input<'a>> {
+    fn inputs<'a>(&'a self, _: &[f64]) -> Vec<LawInput<'a>> {
         T::DEFINITION.inputs.to_vec()
     }
 
@@ -227,7 +228,7 @@ impl<T: ScalarParameter> Candidate for T {
             tier: T::DEFINITION.tier,
             nonlinear: T::DEFINITION.nonlinear,
             amplitudes: 1 - T::DEFINITION.nonlinear.len(),
-            amplitude_limits: T::DEFINITION.amplitude_limits,
+            amplitude_bounds: T::DEFINITION.amplitude_bounds,
             ..FitSpec::DEFAULT
         }
     }
@@ -276,11 +277,11 @@ impl<T: ScalarParameter> Explanation for T {
         T::DEFINITION.confounded_in_one_pass
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
         let neutral = match T::DEFINITION.neutral {
             NeutralValue::At(neutral) => neutral,
             NeutralValue::Believed => self.number(),
         };
-        vec![Parameter::Fitted(T::KEY.name, 0, neutral)]
+        vec![FindingParameter::Fitted(T::KEY.name, 0, neutral)]
     }
 }

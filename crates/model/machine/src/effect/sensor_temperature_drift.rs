@@ -6,8 +6,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Parameter, PhysicalLaw, Target, TemperatureResponse, TermEntry,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, PhysicalLaw, Target, TemperatureResponse, TermEntry,
     },
     data_view::{DataView, StartValues, peak_to_peak},
     temperature_columns,
@@ -47,7 +47,7 @@ impl PhysicalLaw for SensorTemperatureDrift {
         Target::Elongation
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
         temperature_columns::temperature_inputs(&self.0, 0.0)
     }
 
@@ -82,7 +82,10 @@ impl Candidate for SensorTemperatureDrift {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(column) = temperature_columns::sensor_temperature_column(survey) else { return };
         if peak_to_peak(survey.source_elongation_um()) > 0.0 && survey.is_varying(column) {
-            with(Self(temperature_columns::neutral(survey, column, false)), StartValues::empty());
+            with(
+                Self(temperature_columns::neutral(survey, column, false)),
+                StartValues::linear_only(),
+            );
         }
     }
 }
@@ -97,7 +100,7 @@ impl Explanation for SensorTemperatureDrift {
         "Warm the sensor alone in front of a target that stands still."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted("um_per_c", 0, 0.0)]
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
+        vec![FindingParameter::Fitted("um_per_c", 0, 0.0)]
     }
 }

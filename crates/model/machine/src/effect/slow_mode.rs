@@ -7,9 +7,9 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
-        HeatPath, Input, NonlinearParameter, Parameter, PhysicalLaw, Target, TemperatureResponse,
-        TermEntry, format_duration,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, HeatPath, LawInput, NonlinearParameter, PhysicalLaw, Target,
+        TemperatureResponse, TermEntry, format_duration,
     },
     data_view::{DataView, StartValues, TIME_CONSTANT_GRID_POINTS},
     temperature_columns,
@@ -115,9 +115,9 @@ impl PhysicalLaw for SlowMode {
         Target::Heat
     }
 
-    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<LawInput<'_>> {
         match self {
-            Self::TimeDriven { .. } => vec![Input::Time],
+            Self::TimeDriven { .. } => vec![LawInput::Time],
             Self::ColumnDriven(heat) => temperature_columns::temperature_inputs(heat, nonlinear[0]),
         }
     }
@@ -251,11 +251,14 @@ impl Explanation for SlowMode {
         )
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
         let amplitude = match self {
             Self::TimeDriven { .. } => "amplitude_um",
             Self::ColumnDriven(_) => "um_per_c",
         };
-        vec![Parameter::Fitted(amplitude, 1, 0.0), Parameter::Fitted("time_constant_s", 0, 0.0)]
+        vec![
+            FindingParameter::Fitted(amplitude, 1, 0.0),
+            FindingParameter::Fitted("time_constant_s", 0, 0.0),
+        ]
     }
 }

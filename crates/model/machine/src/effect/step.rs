@@ -6,8 +6,8 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, Target, TermEntry,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FindingParameter, FitSpec,
+        LawInput, NonlinearParameter, PhysicalLaw, Target, TermEntry,
     },
     data_view::{DataView, StartValues},
 };
@@ -52,8 +52,8 @@ impl PhysicalLaw for Step {
         Target::Any
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Time]
     }
 
     fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -110,7 +110,7 @@ impl Explanation for Step {
         "Find what happened at that time, and repeat the run."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted("size_um", 1, 0.0), Parameter::Instant("at_s", 0)]
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
+        vec![FindingParameter::Fitted("size_um", 1, 0.0), FindingParameter::Instant("at_s", 0)]
     }
 }

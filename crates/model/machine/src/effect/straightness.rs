@@ -6,10 +6,11 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
-        Parameter, PhysicalLaw, Target, TermContext, TermEntry, Value, required_axis,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, PhysicalLaw, Target, TermContext, TermEntry, Value,
+        required_axis,
     },
-    data_view::{DataView, StartValues, target_positions, uniform_knots},
+    data_view::{DataView, StartValues, find_distinct_values, uniform_knots},
 };
 use crate::{
     keys::{
@@ -79,8 +80,8 @@ impl PhysicalLaw for Straightness {
             .then(|| "is the error of another axis than the one that moves".into())
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Position(self.along)]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Position(self.along)]
     }
 
     fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -121,12 +122,12 @@ impl Candidate for Straightness {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for along in survey.other_moving_axes() {
             let column = format!("{}_mm", along.name());
-            let at = target_positions(survey.column(&column).unwrap_or(&[]), 1e-3);
+            let at = find_distinct_values(survey.column(&column).unwrap_or(&[]), 1e-3);
             let mut try_knots = |knots_mm: Vec<f64>| {
                 let controls = knots_mm.len() - 4;
                 if survey.group_count() >= 5 * controls {
                     let spline = BSpline { order: 4, knots_mm, control_um: vec![0.0; controls] };
-                    with(Self { along, spline }, StartValues::empty());
+                    with(Self { along, spline }, StartValues::linear_only());
                 }
             };
             for controls in
@@ -151,11 +152,14 @@ impl Explanation for Straightness {
         "Turn the straight edge by 180° and measure again: what turns with it is the edge's."
     }
 
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+    fn parameters(&self, values: &[f64]) -> Vec<FindingParameter> {
         let mut fitted = self.clone();
         fitted.set_values(values);
         let entries = fitted.entries().into_iter();
-        vec![Parameter::Record("spline", entries.map(|(key, value)| (key, Some(value))).collect())]
+        vec![FindingParameter::Record(
+            "spline",
+            entries.map(|(key, value)| (key, Some(value))).collect(),
+        )]
     }
 }
 

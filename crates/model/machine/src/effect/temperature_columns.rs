@@ -1,13 +1,13 @@
 //! Shared parts of the causes that follow a temperature, c·(lag_τ(T) − T_ref).
 
 use super::{
-    cause_spec::{Input, TemperatureResponse},
+    cause_spec::{LawInput, TemperatureResponse},
     data_view::DataView,
 };
 use crate::sections::ElongationSource;
 
-pub(crate) fn temperature_inputs(heat: &TemperatureResponse, lag_s: f64) -> Vec<Input<'_>> {
-    vec![Input::Temperature { column: &heat.column, lag_s }]
+pub(crate) fn temperature_inputs(heat: &TemperatureResponse, lag_s: f64) -> Vec<LawInput<'_>> {
+    vec![LawInput::Temperature { column: &heat.column, lag_s }]
 }
 
 /// No heat of `column` yet. A time constant of 1 s says that it has one.

@@ -17,9 +17,10 @@
 
 use super::{
     cause_spec::{
-        BoardRepresentation, Candidate, DelayKind, Explanation, FileRepresentation, FitSpec, Input,
-        NonlinearParameter, Parameter, PhysicalLaw, PredictionStage, Target, TermContext,
-        TermEntry, ThermometerDelay, Value, format_duration, required_positive_number,
+        BoardRepresentation, Candidate, DelayKind, Explanation, FileRepresentation,
+        FindingParameter, FitSpec, LawInput, NonlinearParameter, PhysicalLaw, PredictionStage,
+        Target, TermContext, TermEntry, ThermometerDelay, Value, format_duration,
+        required_positive_number,
     },
     data_view::{DataView, StartValues},
 };
@@ -97,8 +98,8 @@ impl PhysicalLaw for ThermometerLag {
         PredictionStage::Constant
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
+    fn inputs(&self, _: &[f64]) -> Vec<LawInput<'_>> {
+        vec![LawInput::Time]
     }
 
     fn thermometer_delay(&self) -> Option<ThermometerDelay> {
@@ -157,9 +158,11 @@ impl Explanation for ThermometerLag {
          repeat the run. The growth must no longer begin before the temperature rises."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        let stated =
-            self.form_entries().into_iter().map(|(name, value)| Parameter::Stated(name, value));
-        [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(stated).collect()
+    fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {
+        let stated = self
+            .form_entries()
+            .into_iter()
+            .map(|(name, value)| FindingParameter::Stated(name, value));
+        [FindingParameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(stated).collect()
     }
 }

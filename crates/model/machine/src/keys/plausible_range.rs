@@ -59,7 +59,7 @@ pub(crate) const AXIS_SIGN_HINT: &str = "the axis would shrink as it becomes war
 pub(crate) const NANOMETRES_HINT: &str = "probably in nm instead of µm";
 pub(crate) const MINUTES_HINT: &str = "probably in minutes instead of s";
 pub(crate) const MILLISECONDS_HINT: &str = "probably in ms instead of s";
-pub(crate) const KELVIN_HINT: &str = "probably in kelvin, °F or tenths instead of °C";
+pub(crate) const TEMPERATURE_UNIT_HINT: &str = "probably in kelvin, °F or tenths instead of °C";
 pub(crate) const GAUGE_ZERO_HINT: &str =
     "a gauge that was not set to zero puts it there, or fault values of a thermometer";
 pub(crate) const MICROMETRES_HINT: &str = "probably in µm instead of mm";
@@ -117,7 +117,7 @@ const UNIT_RANGES: &[(&str, PlausibleRange)] = &[
     ("mm", range([-1e6, 1e6], [-1e5, 1e5], [-2e4, 2e4], LENGTH_SOURCE).with_hint_below(MICROMETRES_HINT).with_hint_above(MICROMETRES_HINT)),
     ("µm", range([-1e5, 1e5], [-4000.0, 4000.0], [-200.0, 200.0], ERROR_RANGE_SOURCE).with_hint_below(NANOMETRES_HINT).with_hint_above(NANOMETRES_HINT)),
     ("°C", range([-200.0, 850.0], [-40.0, 150.0], [15.0, 40.0], TEMPERATURE_SOURCE)
-        .with_hint_below(GAUGE_ZERO_HINT).with_hint_above(KELVIN_HINT)),
+        .with_hint_below(GAUGE_ZERO_HINT).with_hint_above(TEMPERATURE_UNIT_HINT)),
     ("°", range([-1e6, 1e6], [-1e5, 1e5], [-360.0, 360.0], LAW_FORM_SOURCE)),
 ];
 

@@ -11,7 +11,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use crate::location::{InputFileError, KeyLocations, Location, did_you_mean, truncate_text};
+use crate::location::{InputFileError, KeyLocations, Location, format_suggestion, truncate_text};
 
 /// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
 /// more than this is more than the board could store.
@@ -166,7 +166,7 @@ impl<'d> Section<'d> {
         let offset = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
         let place = Location::from_byte_offset(self.document.file, self.document.text, offset);
         let name = truncate_text(&dotted_key(&self.name, key));
-        InputFileError::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
+        InputFileError::new(place, format!("unknown key {name}{}", format_suggestion(key, known)))
     }
 
     /// Returns the names of all keys, in the order of the file.
@@ -273,7 +273,7 @@ impl<'d> Section<'d> {
         }
         let names = || choices.iter().map(|(name, _)| *name);
         let listed = names().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(" or ");
-        let suggestion = did_you_mean(text, names());
+        let suggestion = format_suggestion(text, names());
         let rule = format!("must be {listed}, not \"{}\"{suggestion}", truncate_text(text));
         Err(self.key_error(key, rule))
     }
@@ -292,7 +292,10 @@ impl<'d> Section<'d> {
 
     /// Returns the number `key`, written as integer or float; never infinite or NaN.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, InputFileError> {
-        self.table.get(key).map(|value| self.finite_number(key, value.get_ref())).transpose()
+        self.table
+            .get(key)
+            .map(|value| self.finite_number_from_value(key, value.get_ref()))
+            .transpose()
     }
 
     /// Returns the number `key`, which must be above 0.
@@ -338,12 +341,13 @@ impl<'d> Section<'d> {
     /// Returns the array `key` of exactly three numbers.
     pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, InputFileError> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
-        self.three_numbers(key, value).map(Some)
+        self.vector_from_value(key, value).map(Some)
     }
 
     /// Returns the array `key` of 1 to [`MAX_ARRAY_LENGTH`] numbers.
     pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, InputFileError> {
-        let number = |element: &str, value: &DeValue<'_>| self.finite_number(element, value);
+        let number =
+            |element: &str, value: &DeValue<'_>| self.finite_number_from_value(element, value);
         self.read_elements(key, "an array of numbers", number)
     }
 
@@ -357,7 +361,7 @@ impl<'d> Section<'d> {
 
     /// Returns the array `key` of 1 to [`MAX_ARRAY_LENGTH`] rows of exactly three numbers.
     pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, InputFileError> {
-        let row = |element: &str, value: &DeValue<'_>| self.three_numbers(element, value);
+        let row = |element: &str, value: &DeValue<'_>| self.vector_from_value(element, value);
         self.read_elements(key, "an array of rows", row)
     }
 
@@ -385,7 +389,11 @@ impl<'d> Section<'d> {
             .map(Some)
     }
 
-    fn three_numbers(&self, key: &str, value: &DeValue<'_>) -> Result<[f64; 3], InputFileError> {
+    fn vector_from_value(
+        &self,
+        key: &str,
+        value: &DeValue<'_>,
+    ) -> Result<[f64; 3], InputFileError> {
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type_error(key, "an array of three numbers", value));
         };
@@ -396,7 +404,8 @@ impl<'d> Section<'d> {
         }
         let mut vector = [0.0; 3];
         for (index, (component, element)) in vector.iter_mut().zip(elements.iter()).enumerate() {
-            *component = self.finite_number(&format!("{key}[{index}]"), element.get_ref())?;
+            *component =
+                self.finite_number_from_value(&format!("{key}[{index}]"), element.get_ref())?;
         }
         Ok(vector)
     }
@@ -414,7 +423,11 @@ impl<'d> Section<'d> {
         elements.iter().enumerate().map(text).collect::<Result<_, _>>().map(Some)
     }
 
-    fn finite_number(&self, key: &str, value: &DeValue<'_>) -> Result<f64, InputFileError> {
+    fn finite_number_from_value(
+        &self,
+        key: &str,
+        value: &DeValue<'_>,
+    ) -> Result<f64, InputFileError> {
         let number = match value {
             // Any integer of the file is taken as the nearest f64, as it would be with ".0".
             DeValue::Integer(digits) => i128::from_str_radix(digits.as_str(), digits.radix())

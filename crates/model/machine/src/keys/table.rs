@@ -75,7 +75,7 @@ macro_rules! table {
             ) -> $crate::keys::section::NewSection {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
-                $(let section = $crate::keys::table::write_key(section, next(), &self.$field);)*
+                $(let section = $crate::keys::table::add_key(section, next(), &self.$field);)*
                 section
             }
         }
@@ -187,7 +187,7 @@ pub(crate) fn default_table<T: Table>() -> Option<T> {
 }
 
 /// Returns `section` with this key.
-pub(crate) fn write_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
+pub(crate) fn add_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
     let written = value.to_value(key);
     let is_omitted = key.is_quiet
         && resolve_default::<T>(key).is_some_and(|default| default.to_value(key) == written);

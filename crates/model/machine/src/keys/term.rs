@@ -10,7 +10,7 @@ use super::{
     plausible_range::*,
 };
 
-const AXIS_NAMES: &[&str] = &["x", "y", "z"];
+const LINEAR_AXIS_NAMES: &[&str] = &["x", "y", "z"];
 
 /// Declares keys, each as a constant, and the list of all.
 macro_rules! keys {
@@ -44,12 +44,12 @@ keys! {
 keys! {
     /// Keys of the causes, each with one form wherever it stands.
     TERM_KEYS {
-        ALONG = along(Choice(AXIS_NAMES), "", "the axis whose position counts").with_example_value("\"x\"");
+        ALONG = along(Choice(LINEAR_AXIS_NAMES), "", "the axis whose position counts").with_example_value("\"x\"");
         AMPLITUDE_UM = amplitude_um(ValueType::NumberOrNumbers, "µm", "how large it is, or one of each for several waves").with_example_value("1.5");
         AT = at(Numbers, "", "values of the column, rising").with_example_value("[2.0, 20.0, 40.0]").with_range(USER_UNIT_RANGE);
         AT_FEED_MM_PER_MIN = at_feed_mm_per_min(Number, "mm/min", "the feed at which the machine is used").with_example_value("1000.0");
         AT_S = at_s(Number, "s", "when, in the run's `time_s`").with_example_value("1200.0").with_range(CLOCK_TIME_RANGE);
-        AXIS = axis(Choice(AXIS_NAMES), "", "the other axis").with_example_value("\"y\"");
+        AXIS = axis(Choice(LINEAR_AXIS_NAMES), "", "the other axis").with_example_value("\"y\"");
         COLUMN = column(Text, "", "the run's column that it follows").with_example_value("\"temp_bed_c\"");
         CONTROL_UM = control_um(Numbers, "µm", "control points of a curve").with_example_value("[0.0, 3.0]");
         CONTROL_URAD = control_urad(Numbers, "µrad", "control points of a curve of angles").with_example_value("[0.0, 3.0]");
@@ -73,7 +73,7 @@ keys! {
         LEVEL_UM_PER_M = level_um_per_m(Numbers, "µm/m", "at each of `levels`, for one metre").with_example_value("[0.0, 3.0]").with_range(USER_UNIT_RANGE);
         LEVEL_UM_PER_UNIT = level_um_per_unit(Numbers, "µm", "at each of `levels`, for one unit of the second column").with_example_value("[0.0, 0.2]").with_range(USER_UNIT_RANGE);
         LEVELS = levels(Numbers, "", "values of the column, the first adds nothing").with_example_value("[0.0, 1.0]").with_range(USER_UNIT_RANGE);
-        LEVER = lever(Choice(AXIS_NAMES), "", "the axis along which the lever is").with_example_value("\"z\"");
+        LEVER = lever(Choice(LINEAR_AXIS_NAMES), "", "the axis along which the lever is").with_example_value("\"z\"");
         LIMIT_UM = limit_um(Number, "µm", "where the sensor's range ends").with_example_value("90.0");
         MINUS = minus(Text, "", "the temperature that is taken away from that of `column`").with_example_value("\"temp_right_c\"");
         OFFSET_UM = offset_um(Number, "µm", "what is added").with_example_value("1.0").with_range(range([-2e4, 2e4], [-1000.0, 1000.0], [-200.0, 200.0], GROWTH_SOURCE).with_hint_above(NANOMETRES_HINT));
@@ -88,7 +88,7 @@ keys! {
         REFERENCE_RUN = reference_run(Number, "", "the run at which it is 0").with_example_value("1.0").with_range(unbounded("runs are numbered from anywhere"));
         REVERSE_UM = reverse_um(Numbers, "µm", "errors approached in the negative direction").with_example_value("[0.5, 2.0]");
         SCALE = scale(Number, "", "the growth times this").with_example_value("1.1").with_range(range([-1e3, 1e3], [0.0, 10.0], [0.3, 3.0], GROWTH_SOURCE).with_hint_below(SPINDLE_SIGN_HINT));
-        SHIFT_C = shift_c(Number, "K", "what the reference temperature is higher by").with_example_value("0.5").with_range(range([-300.0, 300.0], [-40.0, 40.0], [-10.0, 10.0], TEMPERATURE_SOURCE).with_hint_above(KELVIN_HINT));
+        SHIFT_C = shift_c(Number, "K", "what the reference temperature is higher by").with_example_value("0.5").with_range(range([-300.0, 300.0], [-40.0, 40.0], [-10.0, 10.0], TEMPERATURE_SOURCE).with_hint_above(TEMPERATURE_UNIT_HINT));
         SHIFT_S = shift_s(Number, "s", "by how much the measurement comes later").with_example_value("2.0").with_range(range([-1e7, 1e7], [-7200.0, 7200.0], [-60.0, 60.0], "two clocks of one workshop").with_hint_below(MILLISECONDS_HINT).with_hint_above(MILLISECONDS_HINT));
         SIZE_UM = size_um(Number, "µm", "how far it went").with_example_value("5.0");
         SLOPE_OVER = slope_over(NotNegative, "", "over which share of the time constant the slope is taken, up to 1").with_example_value("0.2").with_range(range([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], LAW_FORM_SOURCE));

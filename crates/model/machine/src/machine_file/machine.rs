@@ -124,7 +124,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, InputFileErr
         parse_board_id(&written).ok_or_else(|| section.key_error("board", rule))
     };
     let board = board.map(chip).transpose()?;
-    let head_axes = read_head_axes(section, kind, &head_axes)?;
+    let head_axes = parse_head_axes(section, kind, &head_axes)?;
     let tool_direction = normalise(tool_direction).ok_or_else(|| {
         section.key_error("tool_direction", "has no length: it must point from the nose to the tip")
     })?;
@@ -153,7 +153,7 @@ fn format_board_id([low, middle, high]: [u32; 3]) -> String {
     format!("{high:08x}{middle:08x}{low:08x}")
 }
 
-fn read_head_axes(
+fn parse_head_axes(
     section: &Section<'_>,
     kind: MachineKind,
     names: &[String],

@@ -42,7 +42,7 @@ pub const MACHINE_FILE_KEYS: &[Key] = &[
         USER_SETTING_SOURCE,
     )),
     section("spindle", spindle::SPINDLE_KEYS, "how the spindle grows"),
-    section("axis", axis::AXIS_SECTIONS, "what is known of each linear axis"),
+    section("axis", axis::AXIS_KEYS, "what is known of each linear axis"),
     section(
         "straightness",
         straightness::STRAIGHTNESS_KEYS,

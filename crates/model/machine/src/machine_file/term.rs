@@ -9,7 +9,7 @@
 use crate::{
     effect::{Cause, Effect, Quantity, RangeLimited, TermContext},
     keys::{reader::Section, section::NewSection},
-    location::{InputFileError, did_you_mean, truncate_text},
+    location::{InputFileError, format_suggestion, truncate_text},
     sections::{AxisModel, Spindle},
 };
 
@@ -40,7 +40,7 @@ const COMMON_TERM_KEYS: [&str; 6] =
 pub(super) fn read(section: &Section<'_>) -> Result<Term, InputFileError> {
     let name = section.required("cause", section.text("cause")?)?;
     let cause = Cause::from_name(name).ok_or_else(|| {
-        let near = did_you_mean(name, Cause::ALL.iter().map(|cause| cause.name()));
+        let near = format_suggestion(name, Cause::ALL.iter().map(|cause| cause.name()));
         section.key_error("cause", format!("\"{}\" is not known{near}", truncate_text(name)))
     })?;
     section.reject_unknown_keys(&[&COMMON_TERM_KEYS[..], cause.keys(section)].concat())?;

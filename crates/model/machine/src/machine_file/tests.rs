@@ -1,7 +1,7 @@
 use super::*;
 use trueup_core::calibration::MainsFrequency;
 
-use crate::inputs::{CountScale, LinearInput, TemperatureInput, TemperatureKind};
+use crate::inputs::{CountScale, LinearInput, TemperatureInput, TemperatureInputKind};
 
 fn parse(source: &str) -> Machine {
     MachineFile::parse(source, Path::new("m.toml")).expect("the test's own text is right")
@@ -68,8 +68,9 @@ fn every_key_that_is_run_arrives_in_its_field() {
     assert_eq!(sensor.volts_full_scale, 5.0);
     assert_eq!(sensor.counts_full_scale, 27648.0);
     assert_eq!(sensor.divider, 0.66);
-    let pt100 = TemperatureInput { channel: 0, kind: TemperatureKind::Pt100, max_c_per_min: None };
-    let kind = TemperatureKind::Linear(LinearInput {
+    let pt100 =
+        TemperatureInput { channel: 0, kind: TemperatureInputKind::Pt100, max_c_per_min: None };
+    let kind = TemperatureInputKind::Linear(LinearInput {
         zero_counts: 4000.0,
         counts_per_c: 16.0,
         scale: CountScale::Code,

@@ -39,7 +39,7 @@ fn find_value_errors(section: &Section<'_>, keys: &[Key]) -> Vec<InputFileError>
     let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
     for name in section.keys() {
         match keys.iter().find(|key| matches_key(section, key, name)) {
-            Some(key) => check_value(section, name, key, &mut faults),
+            Some(key) => push_value_errors(section, name, key, &mut faults),
             None => faults.push(unknown_key_error(section, name, &names)),
         }
     }
@@ -125,7 +125,12 @@ fn append_example(help: String, key: &Key) -> String {
     }
 }
 
-fn check_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<InputFileError>) {
+fn push_value_errors(
+    section: &Section<'_>,
+    name: &str,
+    key: &Key,
+    faults: &mut Vec<InputFileError>,
+) {
     let result = match key.form {
         ValueType::Text => section.text(name).map(drop),
         ValueType::Boolean => section.boolean(name).map(drop),

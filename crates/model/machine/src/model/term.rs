@@ -10,7 +10,7 @@ use std::borrow::Cow;
 
 use super::{Lag, RowInputs, tool_growth::tool_growth_term};
 use crate::{
-    effect::{Input, ModelConstants, PredictionStage, Quantity, relative_heat_input},
+    effect::{LawInput, ModelConstants, PredictionStage, Quantity, relative_heat_input},
     machine_file::{Machine, Term, sorted_by_stage},
     sections::LinearAxis,
 };
@@ -110,32 +110,32 @@ fn apply_term(
     }
     let of = |axis: LinearAxis| situation.position_mm[axis.index()];
     let values = effect.values();
-    let read = |(input, lag): (&Input<'_>, &mut Lag)| match *input {
-        Input::Predicted => p_um,
-        Input::Law => law_um,
-        Input::Time => time_s,
-        Input::Run => situation.run.unwrap_or(f64::NAN),
-        Input::Temperature { column, lag_s } => {
+    let read = |(input, lag): (&LawInput<'_>, &mut Lag)| match *input {
+        LawInput::Predicted => p_um,
+        LawInput::Law => law_um,
+        LawInput::Time => time_s,
+        LawInput::Run => situation.run.unwrap_or(f64::NAN),
+        LawInput::Temperature { column, lag_s } => {
             lag.step(lag_s, time_s, situation.temperature_c(column))
         }
-        Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
-        Input::SpeedHeat { power, lag_s } => {
+        LawInput::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
+        LawInput::SpeedHeat { power, lag_s } => {
             let rpm = situation.spindle_rpm.unwrap_or(f64::NAN);
             lag.step_from_zero(lag_s, time_s, relative_heat_input(power, rpm))
         }
-        Input::Load => situation.load_n.unwrap_or(f64::NAN),
-        Input::Feed => situation.feed_mm_per_min,
-        Input::OwnPosition => quantity.axis().map_or(f64::NAN, of),
-        Input::OwnDirection => {
+        LawInput::Load => situation.load_n.unwrap_or(f64::NAN),
+        LawInput::Feed => situation.feed_mm_per_min,
+        LawInput::OwnPosition => quantity.axis().map_or(f64::NAN, of),
+        LawInput::OwnDirection => {
             quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])
         }
-        Input::Position(axis) => of(axis),
-        Input::Column(column) => situation.other_column_value(column),
-        Input::Lagged { column, lag_s } => {
+        LawInput::Position(axis) => of(axis),
+        LawInput::Column(column) => situation.other_column_value(column),
+        LawInput::Lagged { column, lag_s } => {
             lag.step(lag_s, time_s, situation.other_column_value(column))
         }
         // Only a diagnosis reads it, to find the error of an instrument.
-        Input::Believed => f64::NAN,
+        LawInput::Believed => f64::NAN,
     };
     let x: Vec<f64> = effect.required_inputs().iter().zip(lags).map(read).collect();
     p_um + effect.evaluate_at(&values, &x)

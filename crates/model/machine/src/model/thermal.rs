@@ -15,7 +15,7 @@ use crate::sections::{ThermalLaw, ThermalRow};
 /// whether they count is the mode's business.
 ///
 /// ```
-/// use trueup_machine::{machine_file::{ThermalLaw, ThermalMode, ThermalRow}, model::thermal_coefficients};
+/// use trueup_machine::{machine_file::{ThermalLaw, ThermalMode, ThermalRow}, model::thermal_constant_and_slope};
 /// let row = |temperature_c, constant_um, slope_um_per_m| {
 ///     ThermalRow { temperature_c, constant_um, slope_um_per_m }
 /// };
@@ -24,11 +24,11 @@ use crate::sections::{ThermalLaw, ThermalRow};
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 0.0, origin_mm: 0.0, lag_s: 0.0,
 ///     table: Some(vec![row(20.0, 1.0, 0.0), row(30.0, 3.0, 50.0)]),
 /// };
-/// assert_eq!(thermal_coefficients(&axis, 22.5), (1.5, 12.5)); // a quarter of the way
-/// assert_eq!(thermal_coefficients(&axis, 99.0), (3.0, 50.0)); // held
+/// assert_eq!(thermal_constant_and_slope(&axis, 22.5), (1.5, 12.5)); // a quarter of the way
+/// assert_eq!(thermal_constant_and_slope(&axis, 99.0), (3.0, 50.0)); // held
 /// ```
 #[must_use]
-pub fn thermal_coefficients(axis: &ThermalLaw, temperature_c: f64) -> (f64, f64) {
+pub fn thermal_constant_and_slope(axis: &ThermalLaw, temperature_c: f64) -> (f64, f64) {
     match &axis.table {
         Some(table) => interpolate_table(table, temperature_c),
         None => {
@@ -74,7 +74,7 @@ fn interpolate_table(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// ```
 #[must_use]
 pub fn thermal_error_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f64 {
-    let (constant_um, slope_um_per_m) = thermal_coefficients(axis, temperature_c);
+    let (constant_um, slope_um_per_m) = thermal_constant_and_slope(axis, temperature_c);
     let mut error_um = 0.0;
     if axis.mode.has_constant_term() {
         error_um += constant_um;
@@ -160,9 +160,13 @@ mod tests {
             (42.0, (-4.0, 270.0)),
             (300.0, (-4.0, 270.0)),
         ] {
-            assert_eq!(thermal_coefficients(&axis, temperature_c), expected, "{temperature_c} °C");
+            assert_eq!(
+                thermal_constant_and_slope(&axis, temperature_c),
+                expected,
+                "{temperature_c} °C"
+            );
         }
-        assert!(thermal_coefficients(&axis, f64::NAN).0.is_nan());
+        assert!(thermal_constant_and_slope(&axis, f64::NAN).0.is_nan());
         assert_eq!(thermal_error_um(&axis, 42.0, 1000.0), 270.0);
     }
 }

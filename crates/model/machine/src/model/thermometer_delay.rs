@@ -29,18 +29,18 @@ use crate::{
 /// end values held; of one series, whose time does not run back. NaN where either is missing.
 ///
 /// ```
-/// use trueup_machine::{effect::{ThermometerDelay, DelayKind}, model::part_temperature};
+/// use trueup_machine::{effect::{ThermometerDelay, DelayKind}, model::part_temperature_c};
 /// // It warms by 1 K in 10 s.
 /// let time_s = [0.0, 10.0, 20.0, 30.0, 40.0];
 /// let shown_c = [20.0, 21.0, 22.0, 23.0, 24.0];
-/// let delay = part_temperature(ThermometerDelay { by_s: 20.0, form: DelayKind::Delay }, &time_s, &shown_c);
+/// let delay = part_temperature_c(ThermometerDelay { by_s: 20.0, form: DelayKind::Delay }, &time_s, &shown_c);
 /// assert_eq!(delay, [22.0, 23.0, 24.0, 24.0, 24.0]);
-/// let lag = part_temperature(ThermometerDelay { by_s: 20.0, form: DelayKind::Lag { slope_over: 1.0 } }, &time_s, &shown_c);
+/// let lag = part_temperature_c(ThermometerDelay { by_s: 20.0, form: DelayKind::Lag { slope_over: 1.0 } }, &time_s, &shown_c);
 /// let behind_c = 1.0 / (0.5_f64.exp() - 1.0); // 10 s/(e^(10/20) − 1) at 0.1 K/s
 /// assert!((lag[2] - (22.0 + behind_c)).abs() < 1e-12);
 /// ```
 #[must_use]
-pub fn part_temperature(late: ThermometerDelay, time_s: &[f64], shown_c: &[f64]) -> Vec<f64> {
+pub fn part_temperature_c(late: ThermometerDelay, time_s: &[f64], shown_c: &[f64]) -> Vec<f64> {
     if let Some(inner) = EvenlySpacedRows::from_readings(late, time_s, shown_c) {
         let apart_s = |row: usize| if row == 0 { 0.0 } else { time_s[row] - time_s[row - 1] };
         return compute_part_temperatures(late, time_s, shown_c, &inner, apart_s);
@@ -57,7 +57,7 @@ pub fn part_temperature(late: ThermometerDelay, time_s: &[f64], shown_c: &[f64])
 /// Returns the same where a thermometer's values are means over several rows each, at the mean of their times: what its
 /// lag did to them goes by how far those rows were `apart_s`.
 #[must_use]
-pub fn part_temperature_from_means(
+pub fn part_temperature_from_means_c(
     late: ThermometerDelay,
     time_s: &[f64],
     apart_s: &[f64],
@@ -135,7 +135,7 @@ fn compute_part_temperatures(
     mut apart_s: impl FnMut(usize) -> f64,
 ) -> Vec<f64> {
     let (known_s, known_c) = drop_missing_rows(time_s, shown_c);
-    let mut shown = ThermometerReadings { time_s: &known_s, shown_c: &known_c, begin: 0, end: 0 };
+    let mut shown = ReadingInterpolator { time_s: &known_s, shown_c: &known_c, begin: 0, end: 0 };
     // Most rows are as far apart as the rows before them, but for the rounding of their times.
     let (mut before_s, mut share) = (0.0, 1.0);
     let mut of = |row: usize| {
@@ -183,14 +183,14 @@ fn drop_missing_rows<'a>(
 
 /// The readings of a thermometer at any time. Calls go forward in time, so that each of two ends has a
 /// row of its own from which it looks on.
-struct ThermometerReadings<'a> {
+struct ReadingInterpolator<'a> {
     time_s: &'a [f64],
     shown_c: &'a [f64],
     begin: usize,
     end: usize,
 }
 
-impl ThermometerReadings<'_> {
+impl ReadingInterpolator<'_> {
     /// Returns the slope in K/s over `width_s` around a time, of which what is in the record counts.
     fn slope(&mut self, middle_s: f64, width_s: f64) -> f64 {
         let last = self.time_s.len() - 1;
@@ -234,14 +234,14 @@ impl ThermometerReadings<'_> {
 /// by the names under which [`ReferenceModel`](super::ReferenceModel) looks for them among the others;
 /// `column` gives a column of the run.
 #[must_use]
-pub fn part_temperatures<'r>(
+pub fn part_temperature_columns<'r>(
     machine: &Machine,
     column: impl Fn(&str) -> Option<&'r [f64]>,
 ) -> Vec<(String, Vec<f64>)> {
     let Some(time_s) = column("time_s") else { return Vec::new() };
     let of = |quantity: Quantity| {
         let (sensor, late) = find_delayed_thermometer(machine, quantity)?;
-        let part_c = part_temperature(late, time_s, column(sensor)?);
+        let part_c = part_temperature_c(late, time_s, column(sensor)?);
         Some((part_column_name(quantity), part_c))
     };
     Quantity::ALL.into_iter().filter_map(of).collect()
@@ -316,7 +316,7 @@ mod tests {
             .collect();
         let rms = |c: &[f64]| (c.iter().map(|c| c * c).sum::<f64>() / c.len() as f64).sqrt();
         let times = |over: f64| {
-            rms(&part_temperature(behind(30.0, over), &time_s, &noise_c)) / rms(&noise_c)
+            rms(&part_temperature_c(behind(30.0, over), &time_s, &noise_c)) / rms(&noise_c)
         };
         assert!(times(1.0) < 2.0, "{}", times(1.0));
         assert!(times(0.0) > 30.0, "{}", times(0.0));
@@ -331,9 +331,9 @@ mod tests {
             let mut lag = Lag::default();
             let rows = time_s.iter().zip(&part_c);
             let shown_c: Vec<f64> = rows.map(|(&t, &c)| lag.step(40.0, t, c)).collect();
-            let exact_c = part_temperature(behind(40.0, 0.0), &time_s, &shown_c);
+            let exact_c = part_temperature_c(behind(40.0, 0.0), &time_s, &shown_c);
             assert!(exact_c.iter().zip(&part_c).skip(1).all(|(a, b)| (a - b).abs() < 1e-9));
-            let found_c = part_temperature(behind(40.0, 1.0), &time_s, &shown_c);
+            let found_c = part_temperature_c(behind(40.0, 1.0), &time_s, &shown_c);
             // From where the start has passed: the thermometer was off by 0.4 K.
             let inner = 20..380;
             let off = |c: &[f64]| {
@@ -357,7 +357,7 @@ mod tests {
         let shown_c: Vec<f64> =
             time_s.iter().zip(&part_c).map(|(&t, &c)| lag.step(60.0, t, c)).collect();
         for over in [0.0, 0.3, 1.0] {
-            let found_c = part_temperature(behind(60.0, over), &time_s, &shown_c);
+            let found_c = part_temperature_c(behind(60.0, over), &time_s, &shown_c);
             let off = found_c.iter().zip(&part_c).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(off < 0.25, "{over}: {off} of 5 K");
         }
@@ -373,8 +373,8 @@ mod tests {
         for form in [forms[0], forms[1], DelayKind::Lag { slope_over: 1.0 }] {
             for by_s in [0.05, 0.7, 13.3, 100.0, 400.0] {
                 let late = ThermometerDelay { by_s, form };
-                let even_c = part_temperature(late, &time_s, &shown_c);
-                let uneven_c = part_temperature(late, &uneven_s, &shown_c);
+                let even_c = part_temperature_c(late, &time_s, &shown_c);
+                let uneven_c = part_temperature_c(late, &uneven_s, &shown_c);
                 for (row, (a, b)) in even_c.iter().zip(&uneven_c).enumerate().take(499) {
                     assert!((a - b).abs() < 1e-6, "{late:?}, row {row}: {a} {b}");
                 }
@@ -385,7 +385,7 @@ mod tests {
     #[test]
     fn a_missing_row_is_missing_and_no_other_is() {
         let late = ThermometerDelay { by_s: 10.0, form: DelayKind::Delay };
-        let found_c = part_temperature(late, &[0.0, 10.0, 20.0], &[20.0, f64::NAN, 22.0]);
+        let found_c = part_temperature_c(late, &[0.0, 10.0, 20.0], &[20.0, f64::NAN, 22.0]);
         assert_eq!([found_c[0], found_c[2]], [21.0, 22.0]);
         assert!(found_c[1].is_nan());
     }

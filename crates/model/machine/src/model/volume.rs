@@ -50,7 +50,7 @@ pub fn volumetric_error_um(
     angle_deg: [f64; 3],
 ) -> [f64; 3] {
     let volume = &machine.volume;
-    let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_errors()) else {
+    let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_geometric_errors()) else {
         return [0.0; 3];
     };
     let (tip_mm, mut error_um) = compute_tip_and_head_error(machine, tool, chain, angle_deg);
@@ -185,7 +185,7 @@ impl Machine {
     /// Returns the rotary axes on whose angles the errors of the volume depend.
     pub(super) fn volume_rotary_axes(&self) -> Vec<RotaryAxis> {
         let volume = &self.volume;
-        let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_errors()) else {
+        let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_geometric_errors()) else {
             return Vec::new();
         };
         let is_wrong = |axis: &RotaryAxis| {

@@ -21,7 +21,7 @@ use crate::{
     effect::BoardTerm,
     inputs::{
         BoardInputs, ConditionInput, MAX_TEMPERATURE_CHANNEL, SensorInput, TemperatureInput,
-        TemperatureKind,
+        TemperatureInputKind,
     },
     machine_file::Machine,
     model::{ErrorValues, RowInputs},
@@ -49,7 +49,7 @@ impl SimulatedBridge {
         if machine.spindle.source == Some(ElongationSource::Sensor) && input.is_none() {
             return Err("without [inputs] sensor".into());
         }
-        let wired = with_temperature_channels(machine);
+        let wired = with_assigned_inputs(machine);
         let compiled = match compile(&wired) {
             Ok(compiled) => compiled,
             Err(error) => return Err(error.to_string()),
@@ -69,7 +69,7 @@ impl SimulatedBridge {
 
 /// Returns the machine with a channel for every temperature that its model uses: a prediction does not
 /// need to know how they are connected.
-fn with_temperature_channels(machine: &Machine) -> Machine {
+fn with_assigned_inputs(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
@@ -92,8 +92,11 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
         if !inputs.temperatures.contains_key(&name)
             && let Some(channel) = (0..=MAX_TEMPERATURE_CHANNEL).find(|channel| !taken(channel))
         {
-            let input =
-                TemperatureInput { channel, kind: TemperatureKind::Pt100, max_c_per_min: None };
+            let input = TemperatureInput {
+                channel,
+                kind: TemperatureInputKind::Pt100,
+                max_c_per_min: None,
+            };
             inputs.temperatures.insert(name, input);
         }
     }
@@ -180,7 +183,7 @@ impl<'b> SimulatedBridgeRun<'b> {
         place.angles = [angle(0), angle(1)];
         let direction = calibration.kinematics.tool_direction(place.angles);
         // Without limits: what the tick would clamp is shown unclamped.
-        let axes = calibration.axis_errors(&self.heat, &place).clamped_sums(UNLIMITED).sums;
+        let axes = calibration.compute_axis_errors(&self.heat, &place).clamped_sums(UNLIMITED).sums;
         let (error, _) = tip_error::compute_tip_error(elongation, direction, axes, UNLIMITED);
         let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
         ErrorValues {

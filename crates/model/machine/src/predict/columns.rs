@@ -1,7 +1,7 @@
 //! The columns of a run that the model knows, and one row of them.
 
 use crate::{
-    effect::Input,
+    effect::LawInput,
     keys::reader::is_temperature_column,
     machine_file::Machine,
     model::RowInputs,
@@ -38,7 +38,7 @@ impl<'a> ModelColumns<'a> {
         let reads = machine.terms.iter().flat_map(|term| term.effect.required_inputs());
         let names: Vec<&str> = reads
             .filter_map(|input| match input {
-                Input::Column(column) | Input::Lagged { column, .. } => Some(column),
+                LawInput::Column(column) | LawInput::Lagged { column, .. } => Some(column),
                 _ => None,
             })
             .chain(by_tool)

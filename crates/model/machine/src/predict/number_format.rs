@@ -7,7 +7,7 @@ use std::io::{self, Write};
 
 /// Whole numbers below this have at most 15 digits. No two decimals of 15 digits are the same `f64`, so one that
 /// is the value is the shortest.
-const MAX_15_DIGIT_INTEGER: f64 = 1e15;
+const MIN_16_DIGIT_INTEGER: f64 = 1e15;
 /// Powers of ten up to the most decimals that are tried.
 const POWERS_OF_TEN: [f64; 7] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6];
 
@@ -15,7 +15,7 @@ const POWERS_OF_TEN: [f64; 7] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6];
 pub(super) fn write_shortest_decimal(out: &mut impl Write, value: f64) -> io::Result<()> {
     for (decimals, power) in POWERS_OF_TEN.into_iter().enumerate() {
         let scaled = (value * power).round();
-        if scaled.abs() >= MAX_15_DIGIT_INTEGER {
+        if scaled.abs() >= MIN_16_DIGIT_INTEGER {
             break;
         }
         // A quotient of two whole numbers is the nearest `f64`, as a parser would give it.
@@ -29,10 +29,10 @@ pub(super) fn write_shortest_decimal(out: &mut impl Write, value: f64) -> io::Re
 /// Writes what `{value:.6}` prints.
 pub(super) fn write_six_decimals(out: &mut impl Write, value: f64) -> io::Result<()> {
     /// Below this the product is off by less than 1.3·10⁻⁴, half a unit in its last place.
-    const MAX_EXACT_SCALED_VALUE: f64 = (1_u64 << 40) as f64;
+    const FAST_ROUNDING_LIMIT: f64 = (1_u64 << 40) as f64;
     let scaled = (value * POWERS_OF_TEN[6]).abs();
     let is_near_half = (scaled.fract() - 0.5).abs() < 1e-3;
-    if scaled < MAX_EXACT_SCALED_VALUE && !is_near_half {
+    if scaled < FAST_ROUNDING_LIMIT && !is_near_half {
         return write_fixed_point(out, value.is_sign_negative(), scaled.round() as u64, 6);
     }
     write!(out, "{value:.6}")

@@ -144,7 +144,7 @@ fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_
     assert_eq!(written("0,0,20\n600,9000,30\n1200,9000,25\n").broken_promise, None);
     // 50 ms after a step of the board, while the temperature runs away.
     let between = written("0,9000,20\n10,9000,20\n10.25,9000,40\n");
-    assert!(between.largest_difference_nm.expect("a bridge") > WIRE_RESOLUTION_NM, "{between:?}");
+    assert!(between.largest_difference_nm.expect("a bridge") > OFFSET_RESOLUTION_NM, "{between:?}");
     assert_eq!(between.broken_promise, None);
 }
 

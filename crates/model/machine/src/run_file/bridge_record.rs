@@ -15,7 +15,7 @@ impl RunFile {
     /// Returns the record with the columns that `trueup bridge monitor --record … --machine` gives it. Any other run
     /// stays unchanged.
     #[must_use]
-    pub fn with_machine_column_names(mut self, machine: &Machine) -> Self {
+    pub fn with_machine_columns(mut self, machine: &Machine) -> Self {
         if self.column(CALIBRATION_CRC_COLUMN).is_none() {
             return self;
         }
@@ -72,7 +72,7 @@ mod tests {
         };
         let record = "time_s,calibration_crc,elongation_um,temp_channel1_c,temp_channel2_c,temp_channel3_c\n\
                       0,7,3,,21.5,19\n1,7,5,,22,19\n";
-        let run = read(record).with_machine_column_names(&machine);
+        let run = read(record).with_machine_columns(&machine);
         // (3 − 1)/0.02 and (5 − 1)/0.02 above the zero.
         assert_eq!(run.column("sensor_counts"), Some(&[5_100.0, 5_200.0][..]));
         assert_eq!(run.column("temp_coil_c"), Some(&[21.5, 22.0][..]));
@@ -83,8 +83,7 @@ mod tests {
             assert!(!names.contains(&gone), "{names:?}");
         }
         // A run that is no record of a bridge keeps what it has.
-        let run =
-            read(&record.replace("calibration_crc", "batch")).with_machine_column_names(&machine);
+        let run = read(&record.replace("calibration_crc", "batch")).with_machine_columns(&machine);
         assert!(run.column("elongation_um").is_some() && run.column("sensor_counts").is_none());
     }
 }

@@ -27,13 +27,13 @@ impl ColumnFormats {
     }
 
     /// Returns the first time of the file in s from 1970, where a column of times is counted from it.
-    pub(super) fn epoch_s(&self, column: usize) -> Option<f64> {
-        self.clock.first_timestamp_s().filter(|_| self.has_timestamps(column))
+    pub(super) fn time_origin_unix_s(&self, column: usize) -> Option<f64> {
+        self.clock.first_timestamp_unix_s().filter(|_| self.has_timestamps(column))
     }
 
     /// Takes note of a row of numbers, NaN where one is missing; false if a column has held times of day: one
     /// of its fields breaks a rule.
-    pub(super) fn record_numbers(&mut self, row: &[(f64, usize)]) -> bool {
+    pub(super) fn try_record_numbers(&mut self, row: &[(f64, usize)]) -> bool {
         self.form.iter_mut().zip(row).all(|(form, (value, _))| {
             value.is_nan() || *form.get_or_insert(CellFormat::Number) == CellFormat::Number
         })
@@ -49,7 +49,7 @@ impl ColumnFormats {
     ) -> Result<f64, String> {
         let is_time = looks_like_date(text) && text.parse::<f64>().is_err();
         let (value, form) = if is_time && can_hold_timestamps(name) {
-            let seconds = self.clock.seconds_since_first(text);
+            let seconds = self.clock.parse_seconds_since_first(text);
             (seconds.map_err(|rule| format!("{} {rule}", truncate_text(text)))?, CellFormat::Time)
         } else {
             (parse_number(text, is_time)?, CellFormat::Number)

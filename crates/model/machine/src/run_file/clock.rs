@@ -6,7 +6,7 @@
 use time::{OffsetDateTime, PrimitiveDateTime, UtcOffset, format_description::well_known::Iso8601};
 
 /// Names, in small letters, under which loggers write such a time.
-const TIME_COLUMN_NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
+const LOGGER_TIME_COLUMN_NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
 
 /// Returns whether a column of this name may hold times of day.
 pub(super) fn can_hold_timestamps(name: &str) -> bool {
@@ -15,11 +15,11 @@ pub(super) fn can_hold_timestamps(name: &str) -> bool {
 
 /// Returns whether loggers call their time so; its values are seconds only where it says so in its name.
 pub(super) fn is_logger_time_column(name: &str) -> bool {
-    TIME_COLUMN_NAMES.contains(&name.to_lowercase().as_str())
+    LOGGER_TIME_COLUMN_NAMES.contains(&name.to_lowercase().as_str())
 }
 
 /// Returns whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
-pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
+pub(super) fn is_unix_time_series(values: &[f64]) -> bool {
     const UNIX_TIME_RANGE_S: std::ops::Range<f64> = 1e9..4e9;
     let mut there = values.iter().copied().filter(|value| !value.is_nan()).peekable();
     let mut before = f64::NEG_INFINITY;
@@ -51,7 +51,7 @@ struct FirstTimestamp {
 
 impl TimeOrigin {
     /// `text` in seconds from the first time; else the rule it breaks.
-    pub(super) fn seconds_since_first(&mut self, text: &str) -> Result<f64, String> {
+    pub(super) fn parse_seconds_since_first(&mut self, text: &str) -> Result<f64, String> {
         let (ns, has_zone) = parse_timestamp(text).ok_or_else(|| {
             "is no time that is known: write seconds, or ISO 8601, 2026-11-22T08:00:00Z".to_string()
         })?;
@@ -66,7 +66,7 @@ impl TimeOrigin {
     }
 
     /// Returns the first time of the file in s from 1970; one without a zone counts as UTC.
-    pub(super) fn first_timestamp_s(&self) -> Option<f64> {
+    pub(super) fn first_timestamp_unix_s(&self) -> Option<f64> {
         self.first.as_ref().map(|first| first.ns as f64 * 1e-9)
     }
 }

@@ -15,7 +15,7 @@ use super::{
     line::{LineReadError, RunFileLines, RunLine},
     numeric_row,
     run_table::{ColumnTypo, MAX_RUN_FILE_COLUMNS, RunColumn, RunFileSizeLimits, RunTable},
-    time_order::TimeOrder,
+    time_order::TimeOrderChecker,
     tool_label,
 };
 use crate::{
@@ -33,7 +33,7 @@ pub(super) struct RunReader<'p> {
     labels: Vec<(f64, String)>,
     line_of_row: Vec<u32>,
     cells: ColumnFormats,
-    order: TimeOrder,
+    order: TimeOrderChecker,
     /// The row that is being read: values, and where each stands.
     row: Vec<(f64, usize)>,
     faults: InputErrorList,
@@ -175,7 +175,7 @@ impl<'p> RunReader<'p> {
             separator,
             header_line: line.number,
             cells: ColumnFormats::new(columns.len()),
-            order: TimeOrder::new(&names),
+            order: TimeOrderChecker::new(&names),
             row: Vec::with_capacity(columns.len()),
             columns,
             slips,
@@ -224,7 +224,10 @@ impl<'p> RunReader<'p> {
     fn read_row(&mut self, line: &RunLine, plain: Option<Vec<(f64, usize)>>) {
         let faults_before = self.faults.count();
         self.row = plain.unwrap_or_default();
-        if self.row.is_empty() || !self.cells.record_numbers(&self.row) || self.has_invalid_cell() {
+        if self.row.is_empty()
+            || !self.cells.try_record_numbers(&self.row)
+            || self.has_invalid_cell()
+        {
             self.row.clear();
             self.read_fields(line);
         }
@@ -377,7 +380,7 @@ impl<'p> RunReader<'p> {
             labels: self.labels,
             epoch_s: None,
         };
-        rename_clock_column(&mut table, &self.cells);
+        resolve_clock_columns(&mut table, &self.cells);
         Ok(table)
     }
 }
@@ -398,7 +401,7 @@ fn check_direction(value: f64) -> Result<f64, String> {
 /// Returns what belongs into a column of this name.
 fn column_help(name: &str) -> String {
     let value = "a number with a decimal point; empty or nan where there is none";
-    match known_columns::known_column(name) {
+    match known_columns::find_known_column(name) {
         Some(column) if column.unit.is_empty() => format!("{name}: {}; {value}", column.meaning),
         Some(column) => format!("{name} ({}): {}; {value}", column.unit, column.meaning),
         None => value.into(),
@@ -408,15 +411,15 @@ fn column_help(name: &str) -> String {
 /// The time of a logger, if it was one, or seconds of Unix, is `time_s`; where there is one already it is
 /// left out: it explains nothing that `time_s` does not. A slip goes if its meant column is there by then,
 /// or its own is not.
-fn rename_clock_column(table: &mut RunTable, cells: &ColumnFormats) {
+fn resolve_clock_columns(table: &mut RunTable, cells: &ColumnFormats) {
     let mut number = 0;
     let mut has_time_s = table.columns.iter().any(|column| column.name == "time_s");
     let mut epoch_s = None;
     table.columns.retain_mut(|column| {
-        let is_time = cells.has_timestamps(number) || clock::are_unix_seconds(&column.values);
+        let is_time = cells.has_timestamps(number) || clock::is_unix_time_series(&column.values);
         let is_clock = is_time && clock::is_logger_time_column(&column.name);
         if column.name == "time_s" || is_clock && !has_time_s {
-            epoch_s = cells.epoch_s(number);
+            epoch_s = cells.time_origin_unix_s(number);
         }
         number += 1;
         if is_clock && !has_time_s {

@@ -66,7 +66,7 @@ fn times_of_day_are_seconds_from_the_first() {
             assert_eq!((run.columns().len(), run.column_typos().count()), (2, 0));
         }
     }
-    let epoch_s = |text: &str| parse(text).epoch_s();
+    let epoch_s = |text: &str| parse(text).time_origin_unix_s();
     assert_eq!(epoch_s("x_mm,time\n1,\n2,2026-11-23T01:00:01+01:00\n"), Some(1_795_392_001.0));
     assert_eq!(epoch_s("time_s\n2026-11-23 00:00:01\n"), Some(1_795_392_001.0));
     assert_eq!(epoch_s("time\n1795392001\n"), None, "these are counted from 1970");

@@ -6,7 +6,7 @@ use super::{cell_format::ColumnFormats, clock};
 const DST_STEP_BACK_S: std::ops::RangeInclusive<f64> = 2700.0..=3600.0;
 
 /// The time of the rows so far.
-pub(super) struct TimeOrder {
+pub(super) struct TimeOrderChecker {
     time_column: Option<usize>,
     /// That of a logger, if it comes to hold times.
     clock_column: Option<usize>,
@@ -15,7 +15,7 @@ pub(super) struct TimeOrder {
     newest: Option<(f64, Option<f64>)>,
 }
 
-impl TimeOrder {
+impl TimeOrderChecker {
     /// Of a file with columns of these names.
     pub(super) fn new(names: &[&str]) -> Self {
         let find = |name| names.iter().position(|there| *there == name);

@@ -108,7 +108,7 @@ impl ThermalLaw {
     ///
     /// ```
     /// use trueup_machine::machine_file::{ThermalLaw, ThermalMode, ThermalRow};
-    /// use trueup_machine::model::thermal_coefficients;
+    /// use trueup_machine::model::thermal_constant_and_slope;
     /// let row = |temperature_c, slope_um_per_m| {
     ///     ThermalRow { temperature_c, constant_um: 0.0, slope_um_per_m }
     /// };
@@ -118,7 +118,7 @@ impl ThermalLaw {
     ///     table: Some(vec![row(20.0, 0.0), row(30.0, 100.0)]),
     /// };
     /// axis.shift_reference_temperature(2.0);
-    /// assert_eq!(thermal_coefficients(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
+    /// assert_eq!(thermal_constant_and_slope(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
     /// ```
     pub fn shift_reference_temperature(&mut self, shift_c: f64) {
         self.reference_c += shift_c;
@@ -230,7 +230,7 @@ impl Backlash {
     }
 }
 
-pub(crate) const AXIS_SECTIONS: &[Key] = &[
+pub(crate) const AXIS_KEYS: &[Key] = &[
     section("x", AxisModel::KEYS, "the X axis"),
     section("y", AxisModel::KEYS, "the Y axis"),
     section("z", AxisModel::KEYS, "the Z axis"),
@@ -373,7 +373,8 @@ pub(crate) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let inner = |key: &str| NewSection::new(format!("{name}.{key}"));
     let mut sections = Vec::new();
     sections.push(axis.write(NewSection::new(&name)));
-    sections.extend(axis.thermal.as_ref().map(|thermal| write_thermal(inner("thermal"), thermal)));
+    sections
+        .extend(axis.thermal.as_ref().map(|thermal| add_thermal_keys(inner("thermal"), thermal)));
     sections.extend(axis.pitch.as_ref().map(|pitch| pitch.write(inner("pitch"))));
     if let Some(dual) = &axis.dual {
         sections.extend([dual.write(inner("dual")), dual.pitch.write(inner("dual.pitch"))]);
@@ -383,7 +384,7 @@ pub(crate) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     sections
 }
 
-fn write_thermal(section: NewSection, thermal: &ThermalLaw) -> NewSection {
+fn add_thermal_keys(section: NewSection, thermal: &ThermalLaw) -> NewSection {
     let section = thermal.write(section);
     let section = match thermal.table {
         Some(_) => section

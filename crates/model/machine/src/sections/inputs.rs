@@ -7,8 +7,8 @@ use trueup_core::calibration::MainsFrequency;
 use crate::{
     inputs::{
         ADC_REFERENCE_VOLTS, BoardInputs, ConditionInput, CountScale, LinearInput,
-        MAX_TEMPERATURE_CHANNEL, RATE_LIMITS_C_PER_MIN, SensorInput, TemperatureInput,
-        TemperatureKind,
+        MAX_TEMPERATURE_CHANNEL, RATE_LIMIT_RANGE_C_PER_MIN, SensorInput, TemperatureInput,
+        TemperatureInputKind,
     },
     keys::{
         key::{
@@ -18,7 +18,7 @@ use crate::{
         },
         reader::Section,
         section::NewSection,
-        table::{Table, choice, read_or_default, table, to_inline_table, write_key},
+        table::{Table, add_key, choice, read_or_default, table, to_inline_table},
     },
     known_columns::is_known_column,
     location::InputFileError,
@@ -159,16 +159,16 @@ fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, InputFileErro
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, InputFileError> {
     let keys = ThermometerKeys::read(section)?;
     let kind = match keys.kind {
-        ThermometerKind::Linear => TemperatureKind::Linear(read_linear_input(section, &keys)?),
+        ThermometerKind::Linear => TemperatureInputKind::Linear(read_linear_input(section, &keys)?),
         ThermometerKind::Pt100 => {
             let of_line = VOLTAGE_KEYS.iter().chain(&COUNT_KEYS).chain(&SCALE_KEYS);
             if let Some(key) = section.first_present_key(of_line) {
                 return Err(section.key_error(key, "belongs to kind = \"linear\""));
             }
-            TemperatureKind::Pt100
+            TemperatureInputKind::Pt100
         }
     };
-    let [slowest, fastest] = RATE_LIMITS_C_PER_MIN;
+    let [slowest, fastest] = RATE_LIMIT_RANGE_C_PER_MIN;
     if let Some(rate) = keys.max_c_per_min.filter(|rate| !(slowest..=fastest).contains(rate)) {
         let rule = format!(
             "must be from {slowest} to {fastest} K/min: the fastest change that the \
@@ -266,9 +266,9 @@ fn reject_full_scale_above_adc_reference(
 
 pub(crate) fn write(inputs: &BoardInputs) -> NewSection {
     let mut section = NewSection::new("inputs");
-    section = write_key(section, &SERVICE_SWITCH_KEY, &inputs.service_switch);
+    section = add_key(section, &SERVICE_SWITCH_KEY, &inputs.service_switch);
     let mains_hz: u32 = if inputs.mains == MainsFrequency::Hz60 { 60 } else { 50 };
-    section = write_key(section, &MAINS_FREQUENCY_KEY, &mains_hz);
+    section = add_key(section, &MAINS_FREQUENCY_KEY, &mains_hz);
     if let Some(sensor) = inputs.sensor {
         section = section.with_value("sensor", to_inline_table(&sensor));
     }
@@ -286,7 +286,8 @@ pub(crate) fn write(inputs: &BoardInputs) -> NewSection {
 fn to_thermometer_keys(input: &TemperatureInput) -> ThermometerKeys {
     let TemperatureInput { channel, kind, max_c_per_min } = *input;
     let pt100 = ThermometerKeys { channel, max_c_per_min, ..ThermometerKeys::default() };
-    let TemperatureKind::Linear(LinearInput { zero_counts, counts_per_c, scale }) = kind else {
+    let TemperatureInputKind::Linear(LinearInput { zero_counts, counts_per_c, scale }) = kind
+    else {
         return pt100;
     };
     let line = ThermometerKeys { kind: ThermometerKind::Linear, ..pt100 };

@@ -10,7 +10,7 @@ table! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Limits {
         /// Of X, Y and Z, either way; at least 0.
-        max_um: [f64; 3] = key(Table(MAX_OFFSET_KEYS), "", "the largest offset; a board takes at most 4000 µm from any calibration (14.3 m of steel grow by it at 20 K)");
+        max_um: [f64; 3] = key(Table(OFFSET_LIMIT_KEYS), "", "the largest offset; a board takes at most 4000 µm from any calibration (14.3 m of steel grow by it at 20 K)");
         slew_um_per_s: f64 = key(Positive, "µm/s", "the fastest change of an offset; a board takes at most 10000. A table, curve or wave must not be steeper than what this follows at 30 mm/min (40 µm/mm)").with_default("20.0");
         link_timeout_ms: u32 = key(Whole(1, u32::MAX), "ms", "without the CNC's `Control` for so long it is lost; a board takes at most 60000").with_default("500");
         hold_ms: u32 = key(Whole(0, u32::MAX), "ms", "the last offset is held for so long, then taken back; a board takes at most 600000").with_default("2000");
@@ -19,10 +19,13 @@ table! {
     }
 }
 
-const MAX_OFFSET_KEYS: &[Key] =
-    &[max_offset_key("x", "200.0"), max_offset_key("y", "200.0"), max_offset_key("z", "500.0")];
+const OFFSET_LIMIT_KEYS: &[Key] = &[
+    offset_limit_key("x", "200.0"),
+    offset_limit_key("y", "200.0"),
+    offset_limit_key("z", "500.0"),
+];
 
-const fn max_offset_key(axis: &'static str, default: &'static str) -> Key {
+const fn offset_limit_key(axis: &'static str, default: &'static str) -> Key {
     key(axis, ValueType::NotNegative, "µm", "on this axis, either way").with_default(default)
 }
 

@@ -10,7 +10,7 @@ use crate::{
         plausible_range::range,
         reader::Section,
         section::NewSection,
-        table::{KeyValue, Table, choice, read_or_default, table, write_key},
+        table::{KeyValue, Table, add_key, choice, read_or_default, table},
     },
     location::InputFileError,
 };
@@ -233,7 +233,7 @@ pub(crate) fn write(spindle: &Spindle) -> Vec<NewSection> {
     let inner = |key: Key| NewSection::new(format!("spindle.{}", key.name));
     let mut sections = Vec::new();
     if let Some(source) = spindle.source {
-        sections.push(write_key(NewSection::new("spindle"), &SOURCE_KEY, &source));
+        sections.push(add_key(NewSection::new("spindle"), &SOURCE_KEY, &source));
     }
     sections.extend(spindle.sensor.clone().map(|sensor| {
         let SensorModel { k0_um, zero_counts, um_per_count, temperature } = sensor;

@@ -157,11 +157,15 @@ pub(crate) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
 
 pub(crate) fn write_straightness(curve: &Straightness) -> NewSection {
     let section = NewSection::new(format!("straightness.{}", curve.name()));
-    write_spline(section, &curve.spline, &SPLINE_KEYS)
+    add_spline_keys(section, &curve.spline, &SPLINE_KEYS)
 }
 
 /// Returns `section` with a spline after the keys that it has.
-pub(crate) fn write_spline(section: NewSection, spline: &BSpline, keys: &SplineKeys) -> NewSection {
+pub(crate) fn add_spline_keys(
+    section: NewSection,
+    spline: &BSpline,
+    keys: &SplineKeys,
+) -> NewSection {
     let with = |section: NewSection, (key, value)| section.with_value(key, value);
     spline_entries(spline, keys).into_iter().fold(section, with)
 }

@@ -8,7 +8,7 @@ use super::{
     AxisChain,
     LinearAxis::{self, X, Y, Z},
     RotaryAxis::{self, A, B, C},
-    straightness::{KNOTS_KEY, SplineKeys, read_spline, write_spline},
+    straightness::{KNOTS_KEY, SplineKeys, add_spline_keys, read_spline},
 };
 use crate::{
     keys::{
@@ -20,7 +20,7 @@ use crate::{
         plausible_range::SPLINE_ORDER_RANGE,
         reader::Section,
         section::NewSection,
-        table::{Table, read_or_default, table, write_key},
+        table::{Table, add_key, read_or_default, table},
     },
     location::InputFileError,
     spline::BSpline,
@@ -54,7 +54,7 @@ pub struct VolumetricModel {
 impl VolumetricModel {
     /// Returns whether anything in it makes an error.
     #[must_use]
-    pub fn has_errors(&self) -> bool {
+    pub fn has_geometric_errors(&self) -> bool {
         !self.angular.is_empty() || self.rotary.iter().any(|location| !location.is_error_free())
     }
 
@@ -172,7 +172,7 @@ const SPLINE_KEYS: SplineKeys = [
 const ANGLE_KEYS: &[Key] = &[ANGLE_GRADIENT_KEY, SPLINE_KEYS[0], SPLINE_KEYS[1], SPLINE_KEYS[2]];
 
 /// Of X, Y and Z.
-const POINT_KEYS: [Key; 3] = [
+const REFERENCE_POINT_KEYS: [Key; 3] = [
     point_key(
         "point_x_mm",
         "where pitch and straightness of X are stated: its angles do nothing there. Machine coordinates of the tool tip, of an axis that moves the workpiece on that part",
@@ -196,13 +196,13 @@ const ANGULAR_ERROR_KEYS: [Key; 9] = [
 
 /// The points, then the angles.
 pub(crate) const ANGULAR_KEYS: &[Key] = &{
-    let mut keys = [POINT_KEYS[0]; POINT_KEYS.len() + ANGULAR_ERROR_KEYS.len()];
+    let mut keys = [REFERENCE_POINT_KEYS[0]; REFERENCE_POINT_KEYS.len() + ANGULAR_ERROR_KEYS.len()];
     let mut n = 0;
     while n < keys.len() {
-        keys[n] = if n < POINT_KEYS.len() {
-            POINT_KEYS[n]
+        keys[n] = if n < REFERENCE_POINT_KEYS.len() {
+            REFERENCE_POINT_KEYS[n]
         } else {
-            ANGULAR_ERROR_KEYS[n - POINT_KEYS.len()]
+            ANGULAR_ERROR_KEYS[n - REFERENCE_POINT_KEYS.len()]
         };
         n += 1;
     }
@@ -217,7 +217,7 @@ const fn tilt_key(name: &'static str, meaning: &'static str) -> Key {
     key(name, Number, "µrad", meaning).with_default("0.0").omit_default()
 }
 
-const POINT_KEY: Key = point_key(
+const AXIS_LINE_POINT_KEY: Key = point_key(
     "point_mm",
     "a point of its line with all axes at 0. Of an axis that turns the workpiece: in machine coordinates. Of one \
      that turns the tool: from the spindle nose",
@@ -226,7 +226,7 @@ const POINT_KEY: Key = point_key(
 /// Of A, B and C: the point; the shifts along X, Y and Z without that along the line; the tilts about A, B and C.
 static AXIS_LINE_KEYS: [[Key; 6]; 3] = [
     [
-        POINT_KEY,
+        AXIS_LINE_POINT_KEY,
         shift_key("eyoa_um", "how far the line is off along +Y"),
         shift_key("ezoa_um", "along +Z"),
         tilt_key("eaoa_urad", "zero of the angle: about +X, right-handed"),
@@ -234,7 +234,7 @@ static AXIS_LINE_KEYS: [[Key; 6]; 3] = [
         tilt_key("ecoa_urad", "about +Z"),
     ],
     [
-        POINT_KEY,
+        AXIS_LINE_POINT_KEY,
         shift_key("exob_um", "how far the line is off along +X"),
         shift_key("ezob_um", "along +Z"),
         tilt_key("eaob_urad", "how far the line is turned about +X, right-handed"),
@@ -242,7 +242,7 @@ static AXIS_LINE_KEYS: [[Key; 6]; 3] = [
         tilt_key("ecob_urad", "about +Z"),
     ],
     [
-        POINT_KEY,
+        AXIS_LINE_POINT_KEY,
         shift_key("exoc_um", "how far the line is off along +X"),
         shift_key("eyoc_um", "along +Y"),
         tilt_key("eaoc_urad", "how far the line is turned about +X, right-handed"),
@@ -261,7 +261,7 @@ pub(crate) fn read_angular_errors(
     section: &Section<'_>,
 ) -> Result<(Vec<AngularErrorMotion>, [[f64; 3]; 3]), InputFileError> {
     let mut point_mm = [[0.0; 3]; 3];
-    for (point, key) in point_mm.iter_mut().zip(&POINT_KEYS) {
+    for (point, key) in point_mm.iter_mut().zip(&REFERENCE_POINT_KEYS) {
         *point = read_or_default(section, key)?;
     }
     let mut angular = Vec::new();
@@ -352,26 +352,27 @@ pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), 
 /// Returns the sections of the file.
 pub(crate) fn write(volume: &VolumetricModel) -> Vec<NewSection> {
     let mut sections = Vec::new();
-    let points = POINT_KEYS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
+    let points =
+        REFERENCE_POINT_KEYS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
     let points = points
-        .fold(NewSection::new("angular"), |section, (key, point)| write_key(section, key, point));
+        .fold(NewSection::new("angular"), |section, (key, point)| add_key(section, key, point));
     if points.key_values().next().is_some() {
         sections.push(points);
     }
     for angular in &volume.angular {
         let section = NewSection::new(format!("angular.{}", angular.name()));
         sections.push(match &angular.angle {
-            AngleProfile::Line(urad_per_m) => write_key(section, &ANGLE_GRADIENT_KEY, urad_per_m),
-            AngleProfile::Curve(spline) => write_spline(section, spline, &SPLINE_KEYS),
+            AngleProfile::Line(urad_per_m) => add_key(section, &ANGLE_GRADIENT_KEY, urad_per_m),
+            AngleProfile::Curve(spline) => add_spline_keys(section, spline, &SPLINE_KEYS),
         });
     }
     for it in &volume.rotary {
         let (point, shifts, tilts) = axis_line_keys(it.axis);
         let section = NewSection::new(format!("rotary.{}", it.axis.name()));
-        let section = write_key(section, point, &it.point_mm);
+        let section = add_key(section, point, &it.point_mm);
         let shifts = shifts.into_iter().zip(&it.shift_um).filter_map(|(key, um)| Some((key?, um)));
         let all = shifts.chain(tilts.into_iter().zip(&it.tilt_urad));
-        sections.push(all.fold(section, |section, (key, value)| write_key(section, key, value)));
+        sections.push(all.fold(section, |section, (key, value)| add_key(section, key, value)));
     }
     if volume.tool != ToolGeometry::default() {
         sections.push(volume.tool.write(NewSection::new("tool")));

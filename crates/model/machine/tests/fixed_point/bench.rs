@@ -113,7 +113,7 @@ impl<'m> Bench<'m> {
             .kinematics
             .tool_direction(moment.angles)
             .project_elongation_fine(elongation);
-        let errors = self.calibration.axis_errors(&self.heat, &place);
+        let errors = self.calibration.compute_axis_errors(&self.heat, &place);
         std::array::from_fn(|axis| {
             let parts = errors.axes[axis];
             let sum = parts

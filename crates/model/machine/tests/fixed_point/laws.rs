@@ -220,7 +220,7 @@ fn a_lagging_axis_is_within_5_nm_over_a_two_hour_ramp() {
             ..at([5_000.0, 0.0, 0.0])
         };
         let [model_um, ..] = reference.step(&situation).error_um();
-        let board = calibration.axis_errors(&heat, &place).axes[0].thermal;
+        let board = calibration.compute_axis_errors(&heat, &place).axes[0].thermal;
         let nm = (f64::from(board.0) / 256.0 - model_um * 1_000.0).abs();
         if nm > worst.0 {
             worst = (nm, row);

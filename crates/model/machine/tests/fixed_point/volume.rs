@@ -91,7 +91,7 @@ fn the_board_is_within_1_nm_of_every_drawn_volume() {
                 angle_deg[axis.index()] = f64::from(angle.0) / 1e6;
             }
             let sums = calibration
-                .axis_errors(&MachineThermalState::default(), &place)
+                .compute_axis_errors(&MachineThermalState::default(), &place)
                 .clamped_sums(UNLIMITED)
                 .sums;
             let model = volumetric_error_um(&machine, machine.volume.tool, position_mm, angle_deg);

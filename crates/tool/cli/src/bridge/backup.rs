@@ -56,7 +56,7 @@ pub struct RestoreArgs {
 }
 
 /// Writes all that the bridge holds to a file.
-pub fn save(args: &SaveArgs, as_json: bool) -> Result<CommandOutcome> {
+pub fn run_save(args: &SaveArgs, as_json: bool) -> Result<CommandOutcome> {
     let saved = args
         .port
         .with_session(|session| save_backup(session, &args.file, args.overwrite, as_json))?;
@@ -84,7 +84,9 @@ pub fn save_backup(
     overwrite: bool,
     as_json: bool,
 ) -> Result<SavedBoard> {
-    if !overwrite && let Some(there) = foreign_content(file, &BoardIdentity::read(session)?) {
+    if !overwrite
+        && let Some(there) = describe_foreign_content(file, &BoardIdentity::read(session)?)
+    {
         let rule = format!("{}: {there}", file.display());
         if as_json || !stdin().is_terminal() {
             bail!(UserError(format!("{rule}. Give another file, or --overwrite to replace it")));
@@ -93,7 +95,7 @@ pub fn save_backup(
             bail!(UserError("not saved: you did not confirm".into()));
         }
     }
-    let bar = super::calibration_comparison::byte_progress_bar("reading the calibration", 0);
+    let bar = super::bridge_identity::create_byte_progress_bar("reading the calibration", 0);
     let saved = SavedBoard::read(session, |got, of| {
         bar.set_length(of.unwrap_or_default().into());
         bar.set_position(got as u64);
@@ -106,7 +108,7 @@ pub fn save_backup(
 }
 
 /// Returns what the file holds, unless it is nothing, or a backup of the same owner.
-fn foreign_content(file: &Path, owner: &BoardIdentity) -> Option<String> {
+fn describe_foreign_content(file: &Path, owner: &BoardIdentity) -> Option<String> {
     if output::is_standard_output(file)
         || !fs::metadata(file).is_ok_and(|metadata| metadata.is_file())
     {
@@ -170,7 +172,7 @@ pub fn restore_board(
 }
 
 /// Gives a bridge what `save` has kept of another one.
-pub fn restore_backup(args: &RestoreArgs, as_json: bool) -> Result<CommandOutcome> {
+pub fn run_restore(args: &RestoreArgs, as_json: bool) -> Result<CommandOutcome> {
     // What counts is what becomes of the board.
     trueup_output::enable_best_effort_output();
     let saved = read_backup(&args.file)?;

@@ -32,7 +32,7 @@ use trueup_link::{
 use trueup_machine::compile;
 use trueup_store::write_log::WriteRecord;
 
-use super::{calibration_comparison, operator_questions::OpenQuestions};
+use super::{bridge_identity, operator_questions::OpenQuestions};
 use crate::{CommandOutcome, input_files, output};
 
 #[derive(Args)]
@@ -124,7 +124,7 @@ impl BridgeObjects {
         Ok(Self {
             device: sdo_object::read_text(session, sdo_object::DEVICE_NAME)?,
             hardware: sdo_object::read_text(session, sdo_object::HARDWARE_VERSION)?,
-            software: calibration_comparison::check_firmware_build(session)?,
+            software: bridge_identity::read_and_check_firmware_build(session)?,
             slots: FirmwareSlots::read(session)?,
             calibration: sdo_object::read_number(session, sdo_object::RUNNING_CRC)?,
             new_calibration: sdo_object::read_number(session, sdo_object::PENDING_CRC)?,
@@ -152,7 +152,7 @@ impl BridgeObjects {
         })
     }
 
-    fn machine_text(&self) -> String {
+    fn describe_machine(&self) -> String {
         match (&self.machine[..], &self.serial[..]) {
             ("", "") => "not named".into(),
             (name, "") => name.into(),
@@ -181,13 +181,9 @@ fn print_firmware_slots(slots: &FirmwareSlots) -> Result<()> {
     output::print(format_args!(
         "firmware     slot {} runs: {}",
         running.name(),
-        slots.slot_content(running)
+        slots.slot_info(running)
     ))?;
-    output::print(format_args!(
-        "firmware     slot {}: {}",
-        spare.name(),
-        slots.slot_content(spare)
-    ))?;
+    output::print(format_args!("firmware     slot {}: {}", spare.name(), slots.slot_info(spare)))?;
     let by = if slots.reported.is_some() {
         ""
     } else {
@@ -225,7 +221,7 @@ fn describe_conditions(session: &mut Session) -> Option<String> {
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
 fn describe_crash_location(session: &mut Session) -> Result<String> {
     let mut numbers = [0; 5];
-    for (number, at) in numbers.iter_mut().zip(sdo_object::CRASH_REGISTERS) {
+    for (number, at) in numbers.iter_mut().zip(sdo_object::CRASH_DETAILS) {
         *number = sdo_object::read_number(session, at)?;
     }
     let [pc, lr, status, address, line] = numbers;
@@ -300,7 +296,7 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<CommandOutcome> {
     };
     let mut comparison = CalibrationComparison::None;
     if let (Some(it), Some(requested)) = (&objects, &requested) {
-        comparison = match calibration_comparison::describe_calibration_differences(
+        comparison = match bridge_identity::describe_calibration_differences(
             &mut session,
             requested.blob(),
         )? {
@@ -320,7 +316,7 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<CommandOutcome> {
         }
         output::print(all)?;
     } else {
-        info.print(objects.as_ref())?;
+        info.print_info(objects.as_ref())?;
         comparison.print_comparison(args.machine.as_deref())?;
     }
     let is_other = match &comparison {
@@ -399,7 +395,7 @@ impl BridgeInfo {
         )
     }
 
-    fn print(&self, objects: Option<&BridgeObjects>) -> Result<()> {
+    fn print_info(&self, objects: Option<&BridgeObjects>) -> Result<()> {
         let missing = format!("none in {} s", RESPONSE_TIMEOUT.as_secs());
         if let (Some(version), Some(serial)) = (&self.version, &self.serial) {
             output::print(format_args!("version      {version}"))?;
@@ -420,7 +416,7 @@ impl BridgeInfo {
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
         it.slots.as_ref().map_or(Ok(()), print_firmware_slots)?;
         output::print(format_args!("calibration  {}", it.describe_calibration()))?;
-        output::print(format_args!("machine      {}", it.machine_text()))?;
+        output::print(format_args!("machine      {}", it.describe_machine()))?;
         output::print(format_args!("reference    {}", it.reference.to_text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing apart from the calibration");
         output::print(format_args!("learned      {learned}"))?;

@@ -21,13 +21,13 @@ use trueup_client::{
 use trueup_core::cnc::OffsetQuality;
 use trueup_machine::{
     InputFileError,
-    check::{no_correction_warning, range_findings},
+    check::{list_implausible_values, no_correction_warning},
     compile::decompile,
     envelope,
 };
 use trueup_store::calibration::{calibration_crc, decode, validate_blob};
 
-use super::{PortArgs, calibration_comparison, operator_questions::OpenQuestions};
+use super::{PortArgs, bridge_identity, operator_questions::OpenQuestions};
 use crate::{
     CommandOutcome, UserError, input_files, output, report, show::MAX_CALIBRATION_FILE_BYTES,
 };
@@ -148,8 +148,11 @@ fn read_calibration_file(path: &Path) -> Result<Vec<u8>> {
     let bytes = input_files::read_bytes(path, MAX_CALIBRATION_FILE_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = decompile(&calibration);
-    input_files::check_implausible_values(&path.display().to_string(), &range_findings(&machine))?;
-    envelope::check_envelope(&machine).map_err(|InputFileError { rule, .. }| bad(rule))?;
+    input_files::report_implausible_values(
+        &path.display().to_string(),
+        &list_implausible_values(&machine),
+    )?;
+    envelope::reject_limit_violations(&machine).map_err(|InputFileError { rule, .. }| bad(rule))?;
     if no_correction_warning(&machine).is_some() {
         report::print_warning(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",
@@ -192,15 +195,14 @@ fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
 pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<LoadOutcome> {
     let crc = calibration_crc(blob);
     check_disengaged(session)?;
-    calibration_comparison::check_firmware_build(session)?;
+    bridge_identity::read_and_check_firmware_build(session)?;
     let waiting = sdo_object::read_number(session, PENDING_CRC)?;
     if waiting != 0 && waiting != crc && waiting != sdo_object::read_number(session, RUNNING_CRC)? {
         report::print_warning(format_args!(
             "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
         ));
     }
-    let (replaced, differences) =
-        calibration_comparison::compare_with_running_calibration(session, blob)?;
+    let (replaced, differences) = bridge_identity::compare_with_running_calibration(session, blob)?;
     let before = BridgeReference::read(session)?;
     match &differences {
         None => trueup_output::write_diagnostic("the bridge has no calibration to compare with"),
@@ -285,7 +287,7 @@ fn store_calibration(session: &mut Session, blob: &[u8], crc: u32) -> Result<()>
         if bar.as_ref().is_none_or(|(of, _)| *of != step) {
             let what = if step == StoreStep::Sending { "loading" } else { "reading back" };
             if let Some((_, before)) =
-                bar.replace((step, calibration_comparison::byte_progress_bar(what, blob.len())))
+                bar.replace((step, bridge_identity::create_byte_progress_bar(what, blob.len())))
             {
                 before.finish_and_clear();
             }

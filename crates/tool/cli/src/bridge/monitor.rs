@@ -14,7 +14,7 @@ use trueup_screen::{
     indicator::{IndicatorConfig, IndicatorUnit},
 };
 
-use super::{PortArgs, calibration_comparison, text_monitor};
+use super::{PortArgs, bridge_identity, text_monitor};
 use crate::{
     CommandOutcome,
     choice::{by_name, named},
@@ -79,7 +79,7 @@ pub fn run(args: &MonitorArgs, as_json: bool) -> Result<CommandOutcome> {
     let unit = args.indicator_unit.unwrap_or(IndicatorUnit::Millimetre);
     let is_sound = event_loop::run(event_loop::ScreenOptions {
         port: args.port.port.clone(),
-        tool: calibration_comparison::tool_build_version(),
+        tool: bridge_identity::tool_build_version(),
         machine: args.machine.clone(),
         record: args.record.clone(),
         is_strict: args.strict,

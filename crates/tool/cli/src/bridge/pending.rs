@@ -10,7 +10,7 @@ use trueup_client::{
 };
 use trueup_core::cnc::OffsetQuality;
 
-use super::{PortArgs, calibration_comparison, operator_questions::OpenQuestions};
+use super::{PortArgs, bridge_identity, operator_questions::OpenQuestions};
 use crate::{CommandOutcome, output};
 
 #[derive(Args)]
@@ -60,7 +60,7 @@ fn resolve_pending_calibration(
         "used"
     } else {
         let blob = sdo_object::read(session, PENDING_CALIBRATION, |_, _| ())?;
-        changes = calibration_comparison::describe_calibration_differences(session, &blob)?;
+        changes = bridge_identity::describe_calibration_differences(session, &blob)?;
         "waits"
     };
     if as_json {

@@ -48,11 +48,11 @@ pub fn run(
     let machine = record.and_then(|(_, machine)| machine);
     let expected = match machine {
         Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
-        machine => machine.and_then(compiled_calibration_crc),
+        machine => machine.and_then(compile_calibration_crc),
     };
     let mut line = Session::open(&port)?;
     let calibration = ExpectedCalibration { expected, is_strict };
-    let running = record.map(|_| calibration.check_running_crc(&mut line)).transpose()?;
+    let running = record.map(|_| calibration.read_and_check_running_crc(&mut line)).transpose()?;
     let mut recorder = record
         .map(|(path, machine)| Recorder::create(path, machine, port.interface_name(), None))
         .transpose()?;
@@ -155,7 +155,7 @@ fn receive_events_until(
             recorder.receive(frame, SystemTime::now())?;
             // It may have been given another one.
             if frames::decode_heartbeat(frame) == Ok(NmtState::BootUp) {
-                recorder.set_running_calibration(calibration.check_running_crc(session)?);
+                recorder.set_running_calibration(calibration.read_and_check_running_crc(session)?);
             }
         }
     }
@@ -174,7 +174,8 @@ fn reconnect(
             trueup_output::write_diagnostic("the line is open again");
             // Another board may be behind it.
             if let Some(recorder) = recorder {
-                recorder.set_running_calibration(calibration.check_running_crc(&mut session)?);
+                recorder
+                    .set_running_calibration(calibration.read_and_check_running_crc(&mut session)?);
             }
             return Ok(Some(session));
         }
@@ -194,7 +195,7 @@ struct ExpectedCalibration {
 impl ExpectedCalibration {
     /// Returns the CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
     /// One that is not expected is reported, or refused.
-    fn check_running_crc(&self, session: &mut Session) -> Result<Option<u32>> {
+    fn read_and_check_running_crc(&self, session: &mut Session) -> Result<Option<u32>> {
         let crc = sdo_object::read_number(session, sdo_object::RUNNING_CRC);
         let sentence = match (&crc, self.expected) {
             (Ok(running), Some(expected)) if *running != expected => format!(
@@ -215,7 +216,7 @@ impl ExpectedCalibration {
 }
 
 /// Returns the CRC of the calibration of a machine file; `None`: it cannot be read or does not compile.
-fn compiled_calibration_crc(machine: &Path) -> Option<u32> {
+fn compile_calibration_crc(machine: &Path) -> Option<u32> {
     let machine = MachineFile::read(machine).ok()?;
     compile(&machine).ok().map(|compiled| compiled.crc())
 }

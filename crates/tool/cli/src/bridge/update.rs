@@ -10,18 +10,18 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use clap::Args;
 use serde_json::json;
 use trueup_boot::{
-    boot_state::ImageStatus, flash_layout::Slot, refusal_reason::FirmwareRejectReason,
+    boot_state::ImageStatus, flash_layout::Slot, reject_reason::FirmwareRejectReason,
 };
 use trueup_client::{
-    firmware_file::{FirmwareFile, MAX_FIRMWARE_FILE_BYTES, SlotFirmware},
-    firmware_slots::{FirmwareSlots, SlotChoiceReason, UnsuitableFirmware},
-    firmware_transfer::{self, FirmwareRejected, TransferReport},
+    firmware_file::{FirmwareFile, MAX_FIRMWARE_READ_BYTES, SlotFirmware},
+    firmware_slots::{FirmwareSlots, SlotChoiceReason, UnsuitableFirmwareError},
+    firmware_transfer::{self, FirmwareRejectedError, TransferReport},
     port::PortAddress as Line,
     session::Session,
 };
 
 use super::{
-    PortArgs, calibration_comparison,
+    PortArgs, bridge_identity,
     load::{LoadMode, check_disengaged, confirm_with_user},
     operator_questions::OpenQuestions,
 };
@@ -78,17 +78,17 @@ pub fn run(args: &UpdateArgs, as_json: bool) -> Result<CommandOutcome> {
 
 /// Reads and checks a file.
 fn read_firmware_file(path: &Path) -> Result<FirmwareFile, UserError> {
-    let bytes = input_files::read_bytes(path, MAX_FIRMWARE_FILE_BYTES)?;
+    let bytes = input_files::read_bytes(path, MAX_FIRMWARE_READ_BYTES)?;
     FirmwareFile::parse(&bytes).map_err(|error| UserError(format!("{}: {error}", path.display())))
 }
 
 /// An error that another file mends is one of the user's.
 fn to_user_error(error: anyhow::Error) -> anyhow::Error {
-    if let Some(unsuitable) = error.downcast_ref::<UnsuitableFirmware>() {
+    if let Some(unsuitable) = error.downcast_ref::<UnsuitableFirmwareError>() {
         return UserError(format!("nothing is erased: {unsuitable}")).into();
     }
-    match error.downcast_ref::<FirmwareRejected>() {
-        Some(refused) if refused.is_file_defect() => {
+    match error.downcast_ref::<FirmwareRejectedError>() {
+        Some(refused) if refused.is_board_intact() => {
             UserError(format!("{refused}. What runs is as before")).into()
         }
         _ => error,
@@ -113,7 +113,7 @@ fn update_firmware<'f>(
     let header = firmware.image.header;
     for slot in Slot::ALL {
         let runs = if slot == before.running { " (runs)" } else { "" };
-        let content = before.slot_content(slot);
+        let content = before.slot_info(slot);
         trueup_output::write_diagnostic(format_args!("slot {}: {content}{runs}", slot.name()));
     }
     trueup_output::write_diagnostic(format_args!(
@@ -132,7 +132,7 @@ fn update_firmware<'f>(
     if !how.yes && !confirm_with_user("Update it? [y/N] ")? {
         bail!(UserError("not updated: you did not confirm".into()));
     }
-    let bar = calibration_comparison::byte_progress_bar("updating", header.length as usize);
+    let bar = bridge_identity::create_byte_progress_bar("updating", header.length as usize);
     let stored = firmware_transfer::store_firmware(session, firmware, &mut |bytes| {
         bar.set_position(bytes.into());
         match IS_INTERRUPTED.load(Ordering::Relaxed) {
@@ -180,8 +180,8 @@ impl UpdateOutcome {
             header.length
         ))?;
         let [_, now] = &self.slots;
-        let (running, content) = (now.running.name(), now.slot_content(now.running));
-        let target = now.slot_content(header.slot);
+        let (running, content) = (now.running.name(), now.slot_info(now.running));
+        let target = now.slot_info(header.slot);
         output::print(match (how.keep_running, now.running == header.slot) {
             (true, _) => format!(
                 "{version} is used from the next start; now the bridge runs from slot {running}: {content}"
@@ -210,7 +210,7 @@ impl UpdateOutcome {
     fn confirmation_instructions(&self) -> String {
         let [_, now] = &self.slots;
         let (slot, other) = (now.running, now.running.other());
-        let (content, back) = (now.slot_content(slot), now.slot_content(other));
+        let (content, back) = (now.slot_info(slot), now.slot_info(other));
         let begin =
             format!("the bridge has restarted, and runs from slot {}: {content}", slot.name());
         match now.choice_reason() {

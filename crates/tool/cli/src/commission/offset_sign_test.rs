@@ -12,11 +12,11 @@ use trueup_machine::{
 use crate::UserError;
 
 /// The growth that is pretended, in µm.
-const SIMULATED_GROWTH_UM: f64 = 10.0;
+const SIMULATED_ERROR_UM: f64 = 10.0;
 /// The offset is there when it is within this, in µm: ten steps of the wire, a tenth of a dial's division.
 const OFFSET_TOLERANCE_UM: f64 = 0.1;
 /// Half of the growth: nearer to it than to nothing, and as far the other way.
-const SIGN_TEST_TOLERANCE_UM: f64 = SIMULATED_GROWTH_UM / 2.0;
+const SIGN_TEST_TOLERANCE_UM: f64 = SIMULATED_ERROR_UM / 2.0;
 /// A slope that turns 10 V into less than 0.1 µm and is still none of 0.
 const NEGLIGIBLE_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 
@@ -70,9 +70,9 @@ pub fn sign_test_machine(
 ) -> Result<Machine, UserError> {
     let mut test = machine.clone();
     for (axis, direction) in machine.limits.max_um.into_iter().zip(error_direction(machine, axis)) {
-        if (direction * SIMULATED_GROWTH_UM).abs() > axis {
+        if (direction * SIMULATED_ERROR_UM).abs() > axis {
             let rule =
-                format!("limits.max_um is below the {SIMULATED_GROWTH_UM} µm of the sign test");
+                format!("limits.max_um is below the {SIMULATED_ERROR_UM} µm of the sign test");
             return Err(UserError(rule));
         }
     }
@@ -86,7 +86,7 @@ pub fn sign_test_machine(
     if let Some(axis) = axis {
         test.spindle = Spindle::default();
         // Ends are held: the error is there wherever the axis stands.
-        let forward_um = vec![SIMULATED_GROWTH_UM; 2];
+        let forward_um = vec![SIMULATED_ERROR_UM; 2];
         let everywhere =
             PitchErrorTable { start_mm: 0.0, step_mm: 1.0, forward_um, reverse_um: None };
         test.axes[axis.index()].pitch = Some(everywhere);
@@ -96,7 +96,7 @@ pub fn sign_test_machine(
     let has_input = machine.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
     match test.spindle.sensor.as_mut().filter(|_| has_input) {
         Some(sensor) => {
-            sensor.k0_um = SIMULATED_GROWTH_UM;
+            sensor.k0_um = SIMULATED_ERROR_UM;
             sensor.um_per_count = NEGLIGIBLE_SLOPE_UM_PER_COUNT;
             sensor.temperature = None;
             (test.spindle.source, test.spindle.warmup) = (Some(ElongationSource::Sensor), None);
@@ -108,7 +108,7 @@ pub fn sign_test_machine(
             test.spindle.warmup = Some(Warmup {
                 lag_s: 0.0,
                 warm_s: 10.0,
-                max_um: SIMULATED_GROWTH_UM,
+                max_um: SIMULATED_ERROR_UM,
                 exponent: 4.0,
                 cool_s: None,
                 rated_rpm: None,
@@ -124,7 +124,7 @@ pub fn is_offset_correct(output: &Output, direction: [f64; 3]) -> bool {
     let is_live = matches!(output.quality, OffsetQuality::Live | OffsetQuality::WarmUpModel);
     let Some(offset) = offset_um(output).filter(|_| is_live) else { return false };
     let along: f64 = offset.iter().zip(direction).map(|(offset, v)| offset * v).sum();
-    (along + SIMULATED_GROWTH_UM).abs() <= OFFSET_TOLERANCE_UM
+    (along + SIMULATED_ERROR_UM).abs() <= OFFSET_TOLERANCE_UM
 }
 
 /// The verdict on the reading.
@@ -139,8 +139,8 @@ pub enum SignTestVerdict {
 /// Of the way in µm, positive where the error is: it must have gone back by as much.
 pub fn evaluate_sign_test(moved_um: f64) -> SignTestVerdict {
     match moved_um {
-        it if (it + SIMULATED_GROWTH_UM).abs() <= SIGN_TEST_TOLERANCE_UM => SignTestVerdict::Right,
-        it if (it - SIMULATED_GROWTH_UM).abs() <= SIGN_TEST_TOLERANCE_UM => SignTestVerdict::Wrong,
+        it if (it + SIMULATED_ERROR_UM).abs() <= SIGN_TEST_TOLERANCE_UM => SignTestVerdict::Right,
+        it if (it - SIMULATED_ERROR_UM).abs() <= SIGN_TEST_TOLERANCE_UM => SignTestVerdict::Wrong,
         it if it.abs() < SIGN_TEST_TOLERANCE_UM => SignTestVerdict::Nothing,
         _ => SignTestVerdict::TooMuch,
     }

@@ -8,7 +8,7 @@ use trueup_fit::{
     ResidualStatistics,
     circle::{
         self, CircleFinding, CircleReport, CircleResult, CircleVerdict, CircularDeviations,
-        html_report::title,
+        html_report::finding_title,
     },
 };
 
@@ -21,12 +21,13 @@ pub fn run(args: &CircleArgs, as_json: bool) -> Result<CommandOutcome> {
     let machine = measured.machine.as_deref().map(read_machine_with_source).transpose()?;
     let of_file = machine.as_ref().map(|(_, _, machine)| machine);
     let runs = input_files::read_runs_for_fit(&measured.run, of_file)?;
-    let report = circle::fit_circles(&runs, of_file)?;
+    let report = circle::analyse_circles(&runs, of_file)?;
     report.warnings.iter().for_each(crate::report::print_warning);
 
     let inputs: Vec<&Path> =
         measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
-    let page = circle::build_page(&report, &provenance::provenance_from_files(&inputs)?).to_html();
+    let page =
+        circle::build_circle_page(&report, &provenance::provenance_from_files(&inputs)?).to_html();
     let output = &args.common.output;
     let is_written = !report.edit.is_empty();
     let json = report_json(&report, is_written.then_some(output));
@@ -78,7 +79,7 @@ fn circle_text(report: &CircleReport, output: &Path) -> String {
                 (true, false) => "not written",
                 (false, _) => "not claimed",
             };
-            let name = title(finding);
+            let name = finding_title(finding);
             lines.push(format!("  {name} ({state}): {:.2} µm RMS", finding.rms_um));
             lines.extend(finding.parameters.iter().map(|parameter| format!("    {parameter}")));
             lines.extend(finding.evidence.iter().map(|evidence| format!("    {evidence}")));
@@ -180,7 +181,7 @@ fn circle_json(it: &CircleResult) -> Value {
             "f_min_um": both(figures.f_min_um),
             "d_um": figures.d_um,
         },
-        "causes": it.findings.iter().filter(|finding| finding.claimed).map(title).collect::<Vec<_>>(),
+        "causes": it.findings.iter().filter(|finding| finding.claimed).map(finding_title).collect::<Vec<_>>(),
         "set_aside": report::excluded_rows_json(&it.excluded),
     })
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use serde_json::{Value, json};
 use trueup_fit::straightness::method_table::{
-    MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualError,
+    MethodResult, MethodTable, MethodTableEntry, MethodTableOptions, ResidualDeviation,
     build_method_table,
 };
 
@@ -57,7 +57,7 @@ fn print(entry: &MethodTableEntry) -> Result<()> {
 }
 
 fn format_residuals(
-    ResidualError { residual, over_a_metre_um, step_um }: &ResidualError,
+    ResidualDeviation { residual, over_a_metre_um, step_um }: &ResidualDeviation,
 ) -> String {
     // + 0.0 turns -0 into 0.
     let mean_um = (residual.mean_um * 100.0).round() / 100.0 + 0.0;
@@ -69,7 +69,7 @@ fn format_residuals(
 }
 
 fn table1_json(table: &MethodTable, page: &Path) -> Value {
-    let left = |ResidualError { residual, over_a_metre_um, step_um }: &ResidualError| {
+    let left = |ResidualDeviation { residual, over_a_metre_um, step_um }: &ResidualDeviation| {
         json!({
             "range_um": residual.range_um, "mean_um": residual.mean_um,
             "mean_square_um2": residual.mean_square_um2, "largest_um": residual.largest_um,

@@ -11,7 +11,7 @@ use trueup_diagnose::{
     DiagnosisOptions, NamedCause, NamedCauseFit, diagnose_with_options, fit_named_causes,
 };
 use trueup_fleet::{
-    estimated_constants::{self, CauseIdentity},
+    findings::{self, CauseIdentity},
     job::{DiagnosisRequest, Job, JobFile, JobSubmission, SubmittedFile},
     job_result::StoredResult,
     record::MachineRecord,
@@ -22,7 +22,9 @@ use trueup_fleet::{
 use trueup_machine::{InputFileError, Machine, MachineFile, RunFile, machine_file};
 
 use crate::{
-    diagnose::{DiagnosisInput, RESIDUALS_FILE, diagnosis_files, with_instrument_um},
+    diagnose::{
+        DiagnosisInput, RESIDUALS_FILE, render_diagnosis_files, with_instrument_uncertainty_um,
+    },
     input_files, provenance, report,
 };
 
@@ -36,7 +38,7 @@ pub fn read_submission(
     date: Option<dated_constants::EpochDay>,
 ) -> Result<JobSubmission> {
     let source = MachineFile::read_text(&input.machine)?;
-    let machine = with_instrument_um(
+    let machine = with_instrument_uncertainty_um(
         input_files::parse_machine(&source, &input.machine)?,
         input.instrument_um,
     );
@@ -91,7 +93,7 @@ pub fn diagnose(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles, Diagno
 }
 
 /// The files of a job, read.
-struct LoadedJobFiles {
+struct ParsedJobFiles {
     source: String,
     machine: Machine,
     runs: Vec<RunFile>,
@@ -99,14 +101,16 @@ struct LoadedJobFiles {
     options: DiagnosisOptions,
 }
 
-fn read_job_files(loaded: &LoadedJob) -> Result<LoadedJobFiles> {
+fn parse_job_files(loaded: &LoadedJob) -> Result<ParsedJobFiles> {
     let job = &loaded.job;
     let request = &job.request;
     input_files::set_job_accepted_keys(&request.accept);
     let path = Path::new(&job.machine_file.path);
     let source = String::from_utf8(loaded.machine_file.clone())?;
-    let machine =
-        with_instrument_um(input_files::parse_machine(&source, path)?, request.instrument_um);
+    let machine = with_instrument_uncertainty_um(
+        input_files::parse_machine(&source, path)?,
+        request.instrument_um,
+    );
     let read = |(file, bytes): (&JobFile, &Vec<u8>)| {
         RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))
     };
@@ -118,7 +122,7 @@ fn read_job_files(loaded: &LoadedJob) -> Result<LoadedJobFiles> {
         matters_um: request.matters_um,
         is_applied_once: request.applied_once,
     };
-    Ok(LoadedJobFiles { source, machine, runs, holdout, options })
+    Ok(ParsedJobFiles { source, machine, runs, holdout, options })
 }
 
 /// The runs of a job, in the order of `Input::run_paths`.
@@ -129,13 +133,14 @@ fn stored_runs(loaded: &LoadedJob) -> impl Iterator<Item = (&JobFile, &Vec<u8>)>
 }
 
 fn run_diagnosis(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles> {
-    let LoadedJobFiles { source, machine, runs, holdout, options } = read_job_files(loaded)?;
+    let ParsedJobFiles { source, machine, runs, holdout, options } = parse_job_files(loaded)?;
     let machine_file = &loaded.job.machine_file.path;
     let diagnosis = diagnose_with_options(&machine, &runs, &holdout, options, &mut |_, _| {})?;
     let mut inputs = vec![(machine_file.as_str(), loaded.machine_file.as_slice())];
     inputs.extend(stored_runs(loaded).map(|(file, bytes)| (file.path.as_str(), bytes.as_slice())));
     let origin = provenance::provenance_from_contents(&inputs);
-    let texts = diagnosis_files(&diagnosis, (&source, Path::new(machine_file)), &origin, out)?;
+    let texts =
+        render_diagnosis_files(&diagnosis, (&source, Path::new(machine_file)), &origin, out)?;
     let mut files: DiagnosisFiles =
         texts.into_iter().map(|(name, text)| (name, text.into_bytes())).collect();
     let mut residuals = Vec::new();
@@ -152,8 +157,8 @@ pub fn fit_constants(
     requested: &FitRequest,
 ) -> Result<FittedConstants, String> {
     let loaded = worker::load_job(store, id).map_err(|damage| damage.to_string())?;
-    let LoadedJobFiles { machine, runs, options, .. } =
-        read_job_files(&loaded).map_err(|why| format!("{why:#}"))?;
+    let ParsedJobFiles { machine, runs, options, .. } =
+        parse_job_files(&loaded).map_err(|why| format!("{why:#}"))?;
     let [together, alone] = [&requested.together, &requested.alone]
         .map(|list| list.iter().map(to_named_cause).collect::<Vec<NamedCause<'_>>>());
     let fits = fit_named_causes(&machine, &runs, options, &together, &alone)
@@ -170,7 +175,7 @@ pub fn fit_constants(
             }
         }
         let diagnosis = serde_json::json!({"quantity": quantity, "findings": [finding]});
-        estimated_constants::parse_findings(&diagnosis).pop()
+        findings::parse_findings(&diagnosis).pop()
     };
     let all = |named: &[NamedCause<'_>], fits: Vec<Option<NamedCauseFit>>| {
         named.iter().zip(fits).map(|(named, fit)| found(named, fit)).collect()
@@ -209,7 +214,7 @@ pub fn build_machine_record(
         verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),
         belief: model_fingerprint(machine, quantity),
         quantity: quantity.into(),
-        found: estimated_constants::parse_findings(&diagnosis),
+        found: findings::parse_findings(&diagnosis),
         fitted: Vec::new(),
     })
 }

@@ -66,10 +66,7 @@ impl FleetLocationArgs {
     }
 
     fn connection_settings(&self) -> Result<ConnectionSettings, UserError> {
-        server_connection_settings(
-            self.nats.as_deref().unwrap_or_default(),
-            self.nats_ca.as_deref(),
-        )
+        resolve_server_connection(self.nats.as_deref().unwrap_or_default(), self.nats_ca.as_deref())
     }
 
     /// Returns the options that name the place, for a line to be typed.
@@ -104,7 +101,7 @@ impl FleetBackend {
 }
 
 /// Returns how a server is reached.
-pub fn server_connection_settings(
+pub fn resolve_server_connection(
     url: &str,
     authority: Option<&Path>,
 ) -> Result<ConnectionSettings, UserError> {
@@ -116,7 +113,7 @@ pub fn server_connection_settings(
         return Err(UserError(format!("{}: is no file", file.display())));
     }
     let login = credentials_from_env()?;
-    if login.is_some() && is_unencrypted(url) {
+    if login.is_some() && is_readable_on_network(url) {
         report::print_warning(
             "--nats: the password can be read on the network: write tls://HOST:PORT",
         );
@@ -125,7 +122,7 @@ pub fn server_connection_settings(
 }
 
 /// Returns whether what is sent to this address can be read on a network.
-fn is_unencrypted(url: &str) -> bool {
+fn is_readable_on_network(url: &str) -> bool {
     let address = url.split_once("://").map_or(url, |(_, rest)| rest).trim_end_matches('/');
     let host = match address.rsplit_once(':') {
         Some((host, port)) if !port.contains(']') => host,
@@ -159,12 +156,12 @@ mod tests {
         for url in
             ["nats://192.168.1.10:4222", "nats://shop", "192.168.1.10", "nats://[fe80::1]:4222"]
         {
-            assert!(is_unencrypted(url), "{url}");
+            assert!(is_readable_on_network(url), "{url}");
         }
         for url in
             ["nats://127.0.0.1:4222", "nats://localhost/", "nats://[::1]:4222", "tls://shop:4222"]
         {
-            assert!(!is_unencrypted(url), "{url}");
+            assert!(!is_readable_on_network(url), "{url}");
         }
     }
 }

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use trueup_fleet::nats::records;
 use trueup_serve::sparkplug::payload_to_json;
 
-use super::location::server_connection_settings;
+use super::location::resolve_server_connection;
 use crate::{CommandOutcome, UserError, output, report};
 
 /// Prints the records and events that bridges have published to the server, the oldest first, each once: a line of JSON
@@ -31,7 +31,7 @@ pub struct RecordsArgs {
 }
 
 pub fn run(args: &RecordsArgs) -> Result<CommandOutcome> {
-    let access = server_connection_settings(&args.nats, args.nats_ca.as_deref())?;
+    let access = resolve_server_connection(&args.nats, args.nats_ca.as_deref())?;
     let (mut known, mut foreign) = (PrintedRecords::default(), 0_u64);
     let mut failed = None;
     let read = records::read(&access, &mut |topic: &str, payload: &[u8]| {

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use trueup_client::port::PortAddress;
 use trueup_linuxcnc::configuration::{
     OffsetEntryPoint,
-    boardless::BoardlessConfig,
+    boardless_config::BoardlessConfig,
     check::{self, CheckReport},
     finding::{ConfigurationFinding, OffsetRequirements, Severity},
     hal_files::HalFiles,
@@ -145,7 +145,7 @@ impl Configuration {
     }
 
     /// Where offsets enter, if the user does not say.
-    fn offset_entry_point(&self, by: Option<OffsetEntryPoint>) -> OffsetEntryPoint {
+    fn resolve_offset_entry_point(&self, by: Option<OffsetEntryPoint>) -> OffsetEntryPoint {
         let here = self.installed.as_ref().map(|installed| installed.entry);
         let by_hand =
             || installed_setup::find_manual_setup(&self.ini, &self.hal).map(|setup| setup.1);
@@ -161,7 +161,11 @@ impl Configuration {
     ) -> Result<OffsetRequirements> {
         let is_here =
             self.installed.as_ref().is_some_and(|installed| installed.bridge.port.is_none());
-        offset_requirements(self.offset_entry_point(by), no_board || is_here, machine)
+        derive_offset_requirements(
+            self.resolve_offset_entry_point(by),
+            no_board || is_here,
+            machine,
+        )
     }
 
     /// Returns the machine file as the INI file names it, else as the user does.
@@ -183,7 +187,7 @@ impl Configuration {
 }
 
 /// Returns what is required of the offsets. Without a board the machine file is compiled here.
-fn offset_requirements(
+fn derive_offset_requirements(
     entry: OffsetEntryPoint,
     no_board: bool,
     machine: Option<&(String, Machine)>,
@@ -207,7 +211,7 @@ fn relative_or_absolute_path(path: &Path, folder: &Path) -> String {
 }
 
 /// Returns how the joints of LinuxCNC's configuration are moved.
-pub fn joint_settings(
+pub fn read_joint_settings(
     ini: Option<&Path>,
     slew_um_per_s: f64,
 ) -> Result<[Option<JointSettings>; MAX_JOINTS]> {
@@ -305,9 +309,11 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<CommandOutcome> {
     let machine = configuration.read_machine(args.machine.as_deref())?;
     let demand = match args.port {
         // A board takes the place of none.
-        Some(_) => {
-            offset_requirements(configuration.offset_entry_point(args.by), false, machine.as_ref())?
-        }
+        Some(_) => derive_offset_requirements(
+            configuration.resolve_offset_entry_point(args.by),
+            false,
+            machine.as_ref(),
+        )?,
         None => {
             configuration.resolve_offset_requirements(args.by, args.no_board, machine.as_ref())?
         }
@@ -343,7 +349,7 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<CommandOutcome> {
         .into());
     }
     if as_json {
-        write_changes(&changes)?;
+        apply_file_changes(&changes)?;
         output::print(
             json!({"by": demand.entry.name(), "changed": changed_paths(&changes), "facts": found.facts}),
         )?;
@@ -351,9 +357,9 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<CommandOutcome> {
     }
     // Before lines are added: a finding shows its line of the file.
     print_findings(&found);
-    write_changes(&changes)?;
+    apply_file_changes(&changes)?;
     found.facts.iter().try_for_each(output::print)?;
-    print_changes(&changes, "set up already; nothing was changed")?;
+    print_file_changes(&changes, "set up already; nothing was changed")?;
     output::print(format!("then: linuxcnc {}", args.ini.display()))?;
     Ok(CommandOutcome::Done)
 }
@@ -361,11 +367,11 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<CommandOutcome> {
 fn run_setup_removal(args: &SetupArgs, as_json: bool) -> Result<CommandOutcome> {
     // HAL files may be gone meanwhile: they are not needed to take lines out.
     let changes = setup::prepare_removal(&IniFile::read(&args.ini)?)?;
-    write_changes(&changes)?;
+    apply_file_changes(&changes)?;
     if as_json {
         output::print(json!({"changed": changed_paths(&changes)}))?;
     } else {
-        print_changes(&changes, "nothing of setup is in it; nothing was changed")?;
+        print_file_changes(&changes, "nothing of setup is in it; nothing was changed")?;
     }
     Ok(CommandOutcome::Done)
 }
@@ -374,7 +380,7 @@ fn changed_paths(changes: &[FileChange]) -> Vec<String> {
     changes.iter().map(|change| change.path.display().to_string()).collect()
 }
 
-fn print_changes(changes: &[FileChange], nothing: &str) -> Result<()> {
+fn print_file_changes(changes: &[FileChange], nothing: &str) -> Result<()> {
     for FileChange { path, content } in changes {
         let done = if content.is_some() { "written" } else { "removed" };
         output::print(format!("{done}: {}", path.display()))?;
@@ -383,7 +389,7 @@ fn print_changes(changes: &[FileChange], nothing: &str) -> Result<()> {
 }
 
 /// Writes all of them or none.
-fn write_changes(changes: &[FileChange]) -> Result<()> {
+fn apply_file_changes(changes: &[FileChange]) -> Result<()> {
     let mut set = output::FileTransaction::new(&[]);
     for FileChange { path, content } in changes {
         match content {
@@ -408,7 +414,8 @@ fn run_status(args: &StatusArgs, as_json: bool) -> Result<CommandOutcome> {
                 .map_or("without a board".into(), |port| format!("bridge at {port}"));
             lines.push(format!("set up by {}: {at}, {machine}", entry.name()));
             let machine = configuration.read_machine(None)?;
-            let demand = offset_requirements(*entry, bridge.port.is_none(), machine.as_ref())?;
+            let demand =
+                derive_offset_requirements(*entry, bridge.port.is_none(), machine.as_ref())?;
             let (found, changes) = setup::prepare_setup(ini, hal, &demand, bridge)?;
             print_findings(&found);
             if !found.is_usable() || !changes.is_empty() {

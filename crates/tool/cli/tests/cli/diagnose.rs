@@ -131,7 +131,7 @@ fn what_cannot_be_compared_is_refused_with_its_place() {
 fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
     // Two paths of heat that nobody can distinguish in a quarter of an hour.
     let trial = trueup_campaigns::spindle_trial::SpindleTrial::from_seed(53);
-    let first = trial.run(&[(trueup_campaigns::spindle_trial::RATED_SPEED_RPM, 15.0)], 1);
+    let first = trial.simulate_day(&[(trueup_campaigns::spindle_trial::RATED_SPEED_RPM, 15.0)], 1);
     let desk = Desk::new(&[("m.toml", &trial.machine), ("first.csv", &first)]);
     let line = "diagnose --machine m.toml --run first.csv --next linuxcnc --out d";
     let (out, _) = desk.run_expecting(line, 3);
@@ -150,7 +150,7 @@ fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
     let head =
         "time_s,spindle_rpm,temp_front_c,temp_column_c,temp_housing_c,measured_elongation_um";
     assert!(template.lines().any(|line| line == head), "{template}");
-    let second = trial.run(&[(trueup_campaigns::spindle_trial::RATED_SPEED_RPM, 20.0)], 2);
+    let second = trial.simulate_day(&[(trueup_campaigns::spindle_trial::RATED_SPEED_RPM, 20.0)], 2);
     desk.write("d/next.csv", &second);
     assert!(matches!(desk.trueup(then).status.code(), Some(0 | 3)));
     desk.write("d/next.csv", template.replacen(",,", ",20.5,", 1));

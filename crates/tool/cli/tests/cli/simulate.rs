@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::desk::Desk;
-use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw_test_case};
 use trueup_machine::{MachineFile, RunFile, predict::RunPredictor};
 
 const WARMUP: &str = include_str!("../../../../../data/scenario-warmup.toml");
@@ -98,7 +98,7 @@ fn what_the_twin_believes_is_what_the_model_predicts_in_every_test_case() {
     let (mut worst, mut drawn) = (0.0_f64, 0);
     for &cause in HiddenCause::ALL {
         for seed in 0..4 {
-            let apart_um = largest_difference_um(&draw(cause, 3.0, seed));
+            let apart_um = largest_difference_um(&draw_test_case(cause, 3.0, seed));
             assert!(apart_um < 1e-9, "{} seed {seed}: {apart_um} µm", cause.name());
             worst = worst.max(apart_um);
             drawn += 1;

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 
-use crate::UnusableInput;
+use crate::UnusableInputError;
 
 /// A file that is being written.
 pub(crate) struct RecordingFile {
@@ -25,7 +25,7 @@ impl RecordingFile {
             .write(true)
             .create_new(true)
             .open(&path)
-            .map_err(|error| UnusableInput::File { path: path.clone(), error })?;
+            .map_err(|error| UnusableInputError::File { path: path.clone(), error })?;
         Ok(Self { path, file: BufWriter::new(file), length: 0 })
     }
 

@@ -78,7 +78,7 @@ fn the_last_readings_are_undone_one_after_the_other() {
             recorder.record_gauge_reading(f64::from(ms) / 100.0);
         }
         if ms == 1_400 {
-            assert_eq!(recorder.reading_count(), 3);
+            assert_eq!(recorder.gauge_reading_count(), 3);
             assert_eq!(recorder.undo_gauge_reading().expect("the disk is not full"), Some(12.5));
         }
         for frame in node.tick(1, TickInput::default()) {
@@ -89,7 +89,7 @@ fn the_last_readings_are_undone_one_after_the_other() {
     recorder.record_gauge_reading(99.0);
     assert_eq!(recorder.undo_gauge_reading().expect("the disk is not full"), Some(99.0));
     recorder.flush().expect("the disk is not full");
-    assert_eq!(recorder.reading_count(), 3);
+    assert_eq!(recorder.gauge_reading_count(), 3);
     let run = RunFile::read(&path).expect("a run file, with its log beside it");
     let read = run.column("measured_dz_um").expect("the gauge's column").iter();
     let read: Vec<f64> = read.copied().filter(|um| !um.is_nan()).collect();
@@ -121,7 +121,10 @@ fn a_recording_that_cannot_begin_is_for_the_user_to_mend() {
         ("none/run.log", "run.log: the recording cannot be created: "),
     ] {
         let error = begin(name).err().expect("it is in the way");
-        assert!(error.is::<UnusableInput>() && error.to_string().contains(phrase), "{error:#}");
+        assert!(
+            error.is::<UnusableInputError>() && error.to_string().contains(phrase),
+            "{error:#}"
+        );
     }
 }
 
@@ -129,9 +132,9 @@ fn a_recording_that_cannot_begin_is_for_the_user_to_mend() {
 fn a_line_of_the_log_is_candumps() {
     let at = UNIX_EPOCH + Duration::from_micros(1_436_509_052_249_713);
     let frame = Frame::new(0x181, &[0x8B, 0xCB, 0, 0x11]).expect("short");
-    assert_eq!(candump_line("can0", &frame, at), "(1436509052.249713) can0 181#8BCB0011");
+    assert_eq!(format_candump_line("can0", &frame, at), "(1436509052.249713) can0 181#8BCB0011");
     let empty = Frame::new(0x001, &[]).expect("short");
-    assert_eq!(candump_line("vcan1", &empty, UNIX_EPOCH), "(0000000000.000000) vcan1 001#");
+    assert_eq!(format_candump_line("vcan1", &empty, UNIX_EPOCH), "(0000000000.000000) vcan1 001#");
 }
 
 #[test]

@@ -16,7 +16,7 @@ use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use super::{
     AxisCompensation, AxisTables, MAGNIFICATIONS, MAX_COMPENSATION_VALUE, SPACING_INCREMENT_MM,
-    compare_axis,
+    compare_axis_tables,
 };
 use crate::{
     ExportOptions, ExportReport, ExportResult, ExportedFile,
@@ -46,7 +46,7 @@ pub(super) fn unsupported_reason(drive: &DriveErrorModel<'_>) -> Option<String> 
 }
 
 /// All curves are omitted.
-pub(super) fn omit_straightness<'m>(
+pub(super) fn report_omitted_straightness<'m>(
     machine: &'m Machine,
     report: &mut ExportReport,
 ) -> Vec<CrossAxisError<'m>> {
@@ -59,7 +59,7 @@ pub(super) fn omit_straightness<'m>(
     Vec::new()
 }
 
-pub(super) fn write_sheet(
+pub(super) fn add_parameter_sheet(
     mut planned: Vec<AxisCompensation<'_>>,
     options: &ExportOptions,
     export: &mut ExportResult,
@@ -96,7 +96,7 @@ pub(super) fn write_sheet(
             Ok((negative, spacing_mm, values)) => {
                 let back = AxisTables::from_single_table(negative, spacing_mm, values, backlash);
                 let axis = drive.axis.index() + 1;
-                compare_axis(plan, drive, &back, (axis, SHEET_FILE_NAME), options, export);
+                compare_axis_tables(plan, drive, &back, (axis, SHEET_FILE_NAME), options, export);
             }
             Err(rule) => {
                 export.report.add_omitted_section(

@@ -23,7 +23,7 @@ const MAX_AXIS_PAIRS: usize = 3;
 const POINTS_PER_PAIR: usize = 4;
 
 /// Returns the pairs that are exported: the three that reach furthest.
-pub(super) fn select_pairs<'m>(
+pub(super) fn select_cross_axis_errors<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
     report: &mut ExportReport,
@@ -93,7 +93,7 @@ impl AxisPair<'_> {
     }
 }
 
-pub(super) fn plan_pairs<'m>(
+pub(super) fn plan_axis_pairs<'m>(
     planned: &[AxisCompensation<'m>],
     options: &ExportOptions,
     number_of: impl Fn(&AxisCompensation<'m>) -> usize,
@@ -165,7 +165,7 @@ pub(super) fn compare_axis_pairs(
     export: &mut ExportResult,
 ) {
     for pair in pairs {
-        match compare_pair(pair, control, options) {
+        match compare_axis_pair(pair, control, options) {
             Ok(table) => export.report.tables.push(table),
             Err(rule) => {
                 let reason = format!("it reads back wrong: {rule}");
@@ -175,7 +175,7 @@ pub(super) fn compare_axis_pairs(
     }
 }
 
-fn compare_pair(
+fn compare_axis_pair(
     pair: &AxisPair<'_>,
     control: &CompensationData,
     options: &ExportOptions,

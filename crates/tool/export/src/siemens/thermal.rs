@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use trueup_machine::{
     Machine,
     machine_file::{LinearAxis, RotaryAxis, ThermalLaw},
-    model::{elongation_error_um, thermal_coefficients, thermal_error_um, tool_direction},
+    model::{elongation_error_um, thermal_constant_and_slope, thermal_error_um, tool_direction},
 };
 
 use super::{IniVariables, build_ini_file, decimal_places, machine_axis_name};
@@ -73,7 +73,7 @@ pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         for axis in LinearAxis::ALL {
             let Some(thermal) = &machine.axes[axis.index()].thermal else { continue };
             let section = format!("axis.{}.thermal", axis.name());
-            let of = ThermalTables { machine, options, axis, thermal };
+            let of = ThermalReadBackCheck { machine, options, axis, thermal };
             match read.clone().and_then(|read| of.compare(&read, &csv)) {
                 Ok(table) => export.report.tables.push(table),
                 Err(rule) => {
@@ -126,7 +126,7 @@ fn format_thermal_coefficients(
     temperature_c: f64,
     options: &ExportOptions,
 ) -> (String, String) {
-    let (constant_um, slope_um_per_m) = thermal_coefficients(thermal, temperature_c);
+    let (constant_um, slope_um_per_m) = thermal_constant_and_slope(thermal, temperature_c);
     let constant_um = if thermal.mode.has_constant_term() { constant_um } else { 0.0 };
     let slope = if thermal.mode.has_position_term() { slope_um_per_m * 1e-6 } else { 0.0 };
     let value = format_number(
@@ -163,14 +163,14 @@ fn write_thermal_compensation(
     }
 }
 
-struct ThermalTables<'m> {
+struct ThermalReadBackCheck<'m> {
     machine: &'m Machine,
     options: &'m ExportOptions,
     axis: LinearAxis,
     thermal: &'m ThermalLaw,
 }
 
-impl ThermalTables<'_> {
+impl ThermalReadBackCheck<'_> {
     /// Reads the setting data and the PLC's table back, and compares both over the travel.
     fn compare(&self, settings: &IniVariables, csv: &str) -> Result<ExportedTable, String> {
         let Self { machine, options, axis, thermal } = *self;

@@ -121,7 +121,7 @@ impl RemoteFleet {
         match fs::read_to_string(&file) {
             Ok(text) if text == own => Ok(()),
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            Err(_) if store.job_ids()?.is_empty() => store.publish_file(&file, &own),
+            Err(_) if store.list_job_ids()?.is_empty() => store.publish_file(&file, &own),
             _ => {
                 let rule = "holds the jobs of another fleet: give another --out, or remove it";
                 let folder = file.parent().unwrap_or(&file).display();

@@ -65,7 +65,7 @@ impl RemoteFleet {
     }
 
     /// Returns how many jobs have not ended.
-    pub(super) fn unfinished_job_count(&self) -> io::Result<u64> {
+    pub(super) fn count_unfinished_jobs(&self) -> io::Result<u64> {
         let info = self.wait_for_response("the queue", self.queue.get_info())?;
         Ok(info.state.messages)
     }

@@ -47,8 +47,7 @@ impl RemoteFleet {
         let consumer = self.open_consumer(options.lease, report)?;
         let is_away = AtomicBool::new(false);
         let tally = Mutex::default();
-        let team =
-            WorkerThreads { remote: self, consumer, options, diagnose, report, is_away, tally };
+        let team = WorkerPool { remote: self, consumer, options, diagnose, report, is_away, tally };
         worker::run_threads(options.threads, |_| team.run())?;
         Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
@@ -82,7 +81,7 @@ impl RemoteFleet {
 }
 
 /// The threads of one process.
-struct WorkerThreads<'t> {
+struct WorkerPool<'t> {
     remote: &'t RemoteFleet,
     consumer: PullConsumer,
     options: WorkerOptions,
@@ -101,13 +100,13 @@ enum AttemptError {
     Worker(io::Error),
 }
 
-impl WorkerThreads<'_> {
+impl WorkerPool<'_> {
     fn run(&self) -> io::Result<()> {
         let mut answered = Instant::now();
         loop {
             let broken = match self.fetch_next_job() {
                 Ok(Some(message)) => self.handle_message(&message),
-                Ok(None) => match self.remote.unfinished_job_count() {
+                Ok(None) => match self.remote.count_unfinished_jobs() {
                     Ok(0) if self.options.until_empty => return Ok(()),
                     other => other.map(|_| ()).map_err(AttemptError::Server),
                 },

@@ -183,8 +183,8 @@ impl S7Client {
         }
         let bits = to_u16(8 * bytes.len())?.to_be_bytes();
         let data = [&[0, 4][..], &bits, bytes].concat();
-        let (parameters, answer) =
-            self.execute_job(&encode_item(FUNCTION_WRITE, db, start, bytes.len())?, &data)?;
+        let (parameters, answer) = self
+            .execute_job(&encode_job_parameters(FUNCTION_WRITE, db, start, bytes.len())?, &data)?;
         match (&parameters[..], &answer[..]) {
             ([FUNCTION_WRITE, 1], [RETURN_CODE_OK, ..]) => Ok(()),
             ([FUNCTION_WRITE, 1], &[code, ..]) => Err(Error::Item(code)),
@@ -198,7 +198,7 @@ impl S7Client {
     /// The CPU does not give them, or the line is broken.
     pub fn read(&mut self, db: u16, start: usize, bytes: &mut [u8]) -> Result<(), Error> {
         let (parameters, answer) =
-            self.execute_job(&encode_item(FUNCTION_READ, db, start, bytes.len())?, &[])?;
+            self.execute_job(&encode_job_parameters(FUNCTION_READ, db, start, bytes.len())?, &[])?;
         let bits = to_u16(8 * bytes.len())?.to_be_bytes();
         match (&parameters[..], &answer[..]) {
             ([FUNCTION_READ, 1], [RETURN_CODE_OK, 4, high, low, data @ ..])
@@ -278,7 +278,12 @@ impl S7Client {
 }
 
 /// Parameters of a job on bytes of a data block.
-fn encode_item(function: u8, db: u16, start: usize, length: usize) -> Result<[u8; 14], Error> {
+fn encode_job_parameters(
+    function: u8,
+    db: u16,
+    start: usize,
+    length: usize,
+) -> Result<[u8; 14], Error> {
     const TRANSPORT_SIZE_BYTE: u8 = 2;
     const AREA_DATA_BLOCK: u8 = 0x84;
     let [l0, l1] = to_u16(length)?.to_be_bytes();

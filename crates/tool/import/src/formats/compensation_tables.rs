@@ -15,10 +15,10 @@ use super::{build_source_column, known_meaning, number_cell};
 use crate::{cell_grid::CellRow, column_meaning::ColumnMeaning, layout::SourceTable};
 
 /// The variable of an encoder table.
-const EEC_VARIABLE: &str = "$AA_ENC_COMP";
+const EEC_VARIABLE_PREFIX: &str = "$AA_ENC_COMP";
 
 pub(super) fn is_siemens_table(text: &str) -> bool {
-    text.lines().any(|line| line.trim_start().starts_with(EEC_VARIABLE))
+    text.lines().any(|line| line.trim_start().starts_with(EEC_VARIABLE_PREFIX))
 }
 
 pub(super) fn is_heidenhain_table(text: &str) -> bool {
@@ -29,7 +29,7 @@ pub(super) fn is_heidenhain_table(text: &str) -> bool {
 
 /// Returns what stands between the brackets, the suffix before them, and the value.
 fn parse_assignment(line: &str) -> Option<(&str, Vec<&str>, f64)> {
-    let rest = line.trim().strip_prefix(EEC_VARIABLE)?;
+    let rest = line.trim().strip_prefix(EEC_VARIABLE_PREFIX)?;
     let (suffix, rest) = rest.split_once('[')?;
     let (inside, value) = rest.split_once(']')?;
     let value = value.trim().strip_prefix('=')?.trim().parse().ok()?;
@@ -44,7 +44,7 @@ pub(super) fn parse_siemens_table(text: &str, path: &Path) -> Result<SourceTable
     let mut table: Option<(String, String)> = None;
     for (at, line) in text.lines().enumerate() {
         let line = line.split(';').next().unwrap_or_default();
-        if !line.trim_start().starts_with(EEC_VARIABLE) {
+        if !line.trim_start().starts_with(EEC_VARIABLE_PREFIX) {
             continue;
         }
         let at = at + 1;
@@ -77,7 +77,7 @@ pub(super) fn parse_siemens_table(text: &str, path: &Path) -> Result<SourceTable
         of.get(what).copied().ok_or_else(|| {
             InputFileError::new(
                 Location::start_of_file(path),
-                format!("{EEC_VARIABLE}{what} is missing"),
+                format!("{EEC_VARIABLE_PREFIX}{what} is missing"),
             )
             .with_help("the table needs _STEP and _MIN: without them its points have no positions")
         })

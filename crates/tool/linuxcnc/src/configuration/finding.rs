@@ -4,7 +4,7 @@ use trueup_machine::{InputFileError, Location, Machine};
 
 use super::{
     OffsetEntryPoint,
-    boardless::BoardlessConfig,
+    boardless_config::BoardlessConfig,
     inputs::{self, NamedInput},
 };
 

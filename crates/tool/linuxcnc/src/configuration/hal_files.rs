@@ -29,7 +29,7 @@ pub struct HalCommand {
 
 /// A signal that a pin is on.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Link {
+pub(crate) struct PinLink {
     /// Name of the signal.
     pub signal: String,
     /// The line that connects the pin.
@@ -88,13 +88,13 @@ impl HalFiles {
 
     /// Returns the signal that a pin is on after the HAL files.
     #[must_use]
-    pub(crate) fn find_link(&self, pin: &str) -> Option<Link> {
+    pub(crate) fn find_link(&self, pin: &str) -> Option<PinLink> {
         collect_links(&self.commands).remove(pin)
     }
 
     /// Returns the signal that a pin is on after the HAL files or after what comes later.
     #[must_use]
-    pub(crate) fn final_link(&self, pin: &str) -> Option<Link> {
+    pub(crate) fn find_final_link(&self, pin: &str) -> Option<PinLink> {
         self.find_link(pin).or_else(|| collect_links(&self.late).remove(pin))
     }
 
@@ -246,10 +246,10 @@ fn substitute_ini_values(ini: &IniFile, word: &str) -> String {
 }
 
 /// Returns each pin's signal after these commands.
-fn collect_links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
-    let mut links: BTreeMap<String, Link> = BTreeMap::new();
+fn collect_links(commands: &[HalCommand]) -> BTreeMap<String, PinLink> {
+    let mut links: BTreeMap<String, PinLink> = BTreeMap::new();
     for HalCommand { words, place } in commands {
-        let link = |signal: &str| Link { signal: signal.to_owned(), place: place.clone() };
+        let link = |signal: &str| PinLink { signal: signal.to_owned(), place: place.clone() };
         let words: Vec<&str> =
             words.iter().map(String::as_str).filter(|word| !NET_ARROWS.contains(word)).collect();
         match &words[..] {
@@ -312,7 +312,7 @@ pub(crate) mod tests {
         }
         // A HALCMD line runs after all HAL files, and so after those of setup.
         assert_eq!(on("p10"), None);
-        assert_eq!(hal.final_link("p10").map(|link| link.signal).as_deref(), Some("c"));
+        assert_eq!(hal.find_final_link("p10").map(|link| link.signal).as_deref(), Some("c"));
         assert_eq!(hal.find_late_reference("p10").map(|command| command.line), Some(3));
         assert_eq!(hal.find_link("p2").expect("linked").place.line, 1);
         assert!(on("p9").is_some(), "a sourced file counts");

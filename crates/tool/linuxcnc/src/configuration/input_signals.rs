@@ -7,7 +7,7 @@ use super::{
     hal_files::HalFiles,
     ini_file::IniFile,
     inputs::NamedInput,
-    servo_hal_lines::{SERVO_FUNCTION, TEMPERATURE_TIMEOUT_MS},
+    servo_hal_lines::{REALTIME_INSTANCE_NAME, TEMPERATURE_TIMEOUT_MS},
 };
 
 /// Signals that are connected where they are, and missed nowhere.
@@ -67,10 +67,13 @@ pub(super) fn format_input_nets(demand: &OffsetRequirements, hal: &HalFiles) -> 
     }
     let mut text = String::new();
     for (signal, pin) in named.into_iter().filter(|(signal, _)| hal.has_signal(signal)) {
-        let _ = writeln!(text, "net {signal} => {SERVO_FUNCTION}.{pin}");
+        let _ = writeln!(text, "net {signal} => {REALTIME_INSTANCE_NAME}.{pin}");
     }
     if demand.no_board.is_some() && hal.has_signal("trueup-temp-heartbeat") {
-        let _ = writeln!(text, "setp {SERVO_FUNCTION}.temp-timeout-ms {TEMPERATURE_TIMEOUT_MS}");
+        let _ = writeln!(
+            text,
+            "setp {REALTIME_INSTANCE_NAME}.temp-timeout-ms {TEMPERATURE_TIMEOUT_MS}"
+        );
     }
     text
 }

@@ -107,7 +107,7 @@ pub(crate) fn compute_offset_av_ratio(
 /// # Errors
 /// Kinematics other than `trivkins`, joints that do not fit them, or a value that is not a number.
 pub(crate) fn read_joints(ini: &IniFile) -> Result<Vec<Joint>, InputFileError> {
-    let letters = joint_axis_letters(ini)?;
+    let letters = read_joint_axis_letters(ini)?;
     let mut joints = Vec::new();
     for (number, letter) in letters.chars().enumerate() {
         let Some(axis) = "XYZ".find(letter) else { continue };
@@ -178,7 +178,7 @@ pub fn build_joint_settings(
 }
 
 /// Returns the axis letter of each joint.
-fn joint_axis_letters(ini: &IniFile) -> Result<String, InputFileError> {
+fn read_joint_axis_letters(ini: &IniFile) -> Result<String, InputFileError> {
     let Some(kinematics) = ini.value("KINS", "KINEMATICS") else {
         return Err(InputFileError::new(ini.section_location("KINS"), "[KINS]KINEMATICS is missing")
             .with_help("an offset needs to know which joint moves which axis: KINEMATICS = trivkins coordinates=XYZ"));

@@ -6,10 +6,10 @@
 //! ```
 //!
 //! [`ini_file`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
-//! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`boardless`] what a bridge without a board needs,
+//! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`boardless_config`] what a bridge without a board needs,
 //! [`installed_setup`] finds what is there already, [`setup`] puts them into the configuration and takes them out.
 
-pub mod boardless;
+pub mod boardless_config;
 pub mod check;
 pub mod finding;
 pub mod hal_files;

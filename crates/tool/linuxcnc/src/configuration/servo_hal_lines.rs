@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 
 use super::{
     OffsetEntryPoint,
-    boardless::BoardlessConfig,
+    boardless_config::BoardlessConfig,
     finding::OffsetRequirements,
     ini_file::IniFile,
     joints::{Joint, compute_offset_av_ratio},
@@ -25,13 +25,13 @@ use crate::ini_settings::IniSettings;
 /// The realtime component.
 pub(crate) const REALTIME_COMPONENT_NAME: &str = "trueup_node";
 /// Its function.
-pub(crate) const SERVO_FUNCTION: &str = "trueup.0";
+pub(crate) const REALTIME_INSTANCE_NAME: &str = "trueup.0";
 /// After this time without a heartbeat the temperatures of a program count as missing.
 pub(super) const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;
 
 /// Returns the lines that load the component and set it; `sends_angles`: those of the rotary axes are connected.
-pub(super) fn format_load_lines(
+pub(super) fn format_load_and_setp_lines(
     no_board: &BoardlessConfig,
     ini: &IniFile,
     joints: &[Joint],
@@ -49,7 +49,7 @@ pub(super) fn format_load_lines(
     }
     text.push('\n');
     let mut set = |pin: &str, value: f64| {
-        let _ = writeln!(text, "setp {SERVO_FUNCTION}.{pin} {}", round_to_billionth(value));
+        let _ = writeln!(text, "setp {REALTIME_INSTANCE_NAME}.{pin} {}", round_to_billionth(value));
     };
     let base = IniSettings::parse(&ini.to_text()).unwrap_or_default();
     set("mm-per-unit", base.mm_per_unit);

@@ -16,7 +16,7 @@ use trueup_store::calibration::validate_blob;
 
 use super::{
     OffsetEntryPoint,
-    boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
+    boardless_config::{CALIBRATION_FILE, THERMAL_STATE_FILE},
     check::{CheckReport, check},
     finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::HalFiles,
@@ -59,7 +59,8 @@ pub fn prepare_setup(
         ));
     }
     let has_file = demand.no_board.is_some();
-    let calibration = has_file.then(|| absolute_path(ini, CALIBRATION_FILE).display().to_string());
+    let calibration =
+        has_file.then(|| absolute_path_in_ini_folder(ini, CALIBRATION_FILE).display().to_string());
     for (what, text) in [
         ("port", bridge.port.as_ref()),
         ("path", bridge.machine.as_ref()),
@@ -89,7 +90,7 @@ pub fn prepare_setup(
     // Usable: both are there.
     let joints = read_joints(ini)?;
     let wiring = wiring::generate_hal_files(ini, hal, &joints, demand)
-        .map_err(|findings| first_finding_error(ini, &findings))?;
+        .map_err(|findings| error_from_first_finding(ini, &findings))?;
     let mut blocks = InsertedBlocks::default();
     if let Some(line) = &hal.last_line {
         let lines = [REALTIME_HAL_FILE, COMPONENT_HAL_FILE].map(|name| format!("HALFILE = {name}"));
@@ -105,8 +106,11 @@ pub fn prepare_setup(
     match demand.no_board {
         // LinuxCNC may be started from anywhere.
         Some(_) => section.extend([
-            format!("CALIBRATION = {}", absolute_path(ini, CALIBRATION_FILE).display()),
-            format!("HEAT = {}", absolute_path(ini, THERMAL_STATE_FILE).display()),
+            format!(
+                "CALIBRATION = {}",
+                absolute_path_in_ini_folder(ini, CALIBRATION_FILE).display()
+            ),
+            format!("HEAT = {}", absolute_path_in_ini_folder(ini, THERMAL_STATE_FILE).display()),
         ]),
         None => section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms)),
     }
@@ -120,7 +124,7 @@ pub fn prepare_setup(
             changes.push(FileChange { path, content: Some(text.into_bytes()) });
         }
     }
-    changes.extend(calibration_file_change(
+    changes.extend(compute_calibration_change(
         ini,
         demand.no_board.as_ref().map(|boardless| &boardless.blob),
     )?);
@@ -139,8 +143,8 @@ pub fn prepare_removal(ini: &IniFile) -> Result<Vec<FileChange>, InputFileError>
             changes.push(FileChange { path, content: None });
         }
     }
-    changes.extend(calibration_file_change(ini, None)?);
-    let heat = absolute_path(ini, THERMAL_STATE_FILE);
+    changes.extend(compute_calibration_change(ini, None)?);
+    let heat = absolute_path_in_ini_folder(ini, THERMAL_STATE_FILE);
     if is_file(&heat) {
         changes.push(FileChange { path: heat, content: None });
     }
@@ -148,17 +152,17 @@ pub fn prepare_removal(ini: &IniFile) -> Result<Vec<FileChange>, InputFileError>
 }
 
 /// Returns the whole path of a file next to the INI file.
-fn absolute_path(ini: &IniFile, name: &str) -> PathBuf {
+fn absolute_path_in_ini_folder(ini: &IniFile, name: &str) -> PathBuf {
     let folder = ini.folder();
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(name)
 }
 
 /// Returns the change of the calibration's file, if it has to change. A file that is no calibration is not ours.
-fn calibration_file_change(
+fn compute_calibration_change(
     ini: &IniFile,
     blob: Option<&Vec<u8>>,
 ) -> Result<Option<FileChange>, InputFileError> {
-    let path = absolute_path(ini, CALIBRATION_FILE);
+    let path = absolute_path_in_ini_folder(ini, CALIBRATION_FILE);
     let before = if is_file(&path) {
         Some(bounded_read::read(&path, MAX_MACHINE_FILE_BYTES)?)
     } else {
@@ -172,7 +176,7 @@ fn calibration_file_change(
     Ok(Some(FileChange { path, content: blob.cloned() }))
 }
 
-fn first_finding_error(ini: &IniFile, findings: &[ConfigurationFinding]) -> InputFileError {
+fn error_from_first_finding(ini: &IniFile, findings: &[ConfigurationFinding]) -> InputFileError {
     let first = findings.first().cloned();
     let first = first
         .map(|finding| InputFileError::new(finding.place, finding.what).with_help(finding.help));

@@ -29,13 +29,13 @@ mod watchdog;
 use self::watchdog::ALIVE_ONESHOT;
 use super::{
     OffsetEntryPoint,
-    boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
+    boardless_config::{CALIBRATION_FILE, THERMAL_STATE_FILE},
     finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::{HalFiles, MOTION_CONTROLLER_FUNCTION, ThreadOrderError},
     ini_file::IniFile,
     input_signals,
     joints::Joint,
-    servo_hal_lines::{self, REALTIME_COMPONENT_NAME, SERVO_FUNCTION, round_to_billionth},
+    servo_hal_lines::{self, REALTIME_COMPONENT_NAME, REALTIME_INSTANCE_NAME, round_to_billionth},
 };
 use crate::ini_settings::IniSettings;
 
@@ -58,7 +58,7 @@ pub(crate) fn reference_hold_pin(joint: usize) -> String {
 
 /// The text of the two HAL files.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Wiring {
+pub(crate) struct GeneratedHalFiles {
     /// Text of `REALTIME_HAL_FILE`.
     pub realtime: String,
     /// Text of `COMPONENT_HAL_FILE`.
@@ -74,12 +74,12 @@ pub(crate) fn generate_hal_files(
     hal: &HalFiles,
     joints: &[Joint],
     demand: &OffsetRequirements,
-) -> Result<Wiring, Vec<ConfigurationFinding>> {
+) -> Result<GeneratedHalFiles, Vec<ConfigurationFinding>> {
     let mut writer = HalWriter { ini, hal, findings: Vec::new() };
     let realtime = writer.generate_realtime_file(joints, demand);
     let component = writer.generate_component_file(joints, demand);
     if writer.findings.is_empty() {
-        Ok(Wiring { realtime, component })
+        Ok(GeneratedHalFiles { realtime, component })
     } else {
         Err(writer.findings)
     }
@@ -139,7 +139,7 @@ impl HalWriter<'_> {
             ("servo-thread".into(), vec!["motion-command-handler".into(), MOTION_CONTROLLER_FUNCTION.into()])
         });
         if let Some(no_board) = &demand.no_board {
-            text += &servo_hal_lines::format_load_lines(
+            text += &servo_hal_lines::format_load_and_setp_lines(
                 no_board,
                 self.ini,
                 joints,
@@ -149,11 +149,11 @@ impl HalWriter<'_> {
         }
         match demand.entry {
             OffsetEntryPoint::Joint => {
-                self.add_joint_offsets(&mut text, joints, demand, &thread, &functions)
+                self.write_joint_offset_lines(&mut text, joints, demand, &thread, &functions)
             }
             // The counts are read by the motion controller of the next period.
             OffsetEntryPoint::Eoffset if demand.no_board.is_some() => {
-                let _ = writeln!(text, "addf {SERVO_FUNCTION} {thread}");
+                let _ = writeln!(text, "addf {REALTIME_INSTANCE_NAME} {thread}");
             }
             OffsetEntryPoint::Eoffset => {}
         }
@@ -163,7 +163,7 @@ impl HalWriter<'_> {
     }
 
     /// The limiter, and what adds the offset and takes it off.
-    fn add_joint_offsets(
+    fn write_joint_offset_lines(
         &mut self,
         text: &mut String,
         joints: &[Joint],
@@ -186,7 +186,7 @@ impl HalWriter<'_> {
             joints.len()
         );
         self.write_loadrt(text, "offset", &names);
-        let stops = self.load_speed_ramps(text, &names);
+        let stops = self.write_speed_ramp_loads(text, &names);
         // The feedback just before the motion controller, the command just after it.
         let controller = functions
             .iter()
@@ -206,7 +206,7 @@ impl HalWriter<'_> {
             position += 1;
         };
         if demand.no_board.is_some() {
-            add(SERVO_FUNCTION.into());
+            add(REALTIME_INSTANCE_NAME.into());
         }
         stops.into_iter().for_each(&mut add);
         for function in ["read-inputs", "write-outputs"] {
@@ -241,7 +241,7 @@ impl HalWriter<'_> {
                  net {command} {name}.out\n\
                  net {feedback} => {name}.fb-in\n"
             );
-            Self::connect_speed_ramp(text, name, channel);
+            Self::write_speed_ramp_nets(text, name, channel);
             if demand.no_board.is_some() {
                 let slew_mm_per_s = demand.slew_um_per_s / MICROMETRES_PER_MILLIMETRE;
                 let speed =
@@ -408,7 +408,7 @@ impl HalWriter<'_> {
         for axis in axes {
             for pin in ["scale", "enable", "counts"] {
                 let pin = format!("axis.{axis}.eoffset-{pin}");
-                if let Some(link) = self.hal.final_link(&pin) {
+                if let Some(link) = self.hal.find_final_link(&pin) {
                     self.findings.push(ConfigurationFinding::error(
                         link.place,
                         format!("{pin} is on the signal {} already", link.signal),
@@ -445,7 +445,7 @@ impl HalWriter<'_> {
 
     /// Connects a pin of LinuxCNC to pins of the component, by the user's signal where there is one.
     fn write_pin_net(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
-        let link = self.hal.final_link(pin);
+        let link = self.hal.find_final_link(pin);
         let signal = link.as_ref().map_or(signal, |link| link.signal.as_str());
         let to: Vec<String> = to.iter().map(|pin| format!("trueup.0.{pin}")).collect();
         let _ = writeln!(text, "net {signal} {pin} => {}", to.join(" "));

@@ -117,9 +117,13 @@ impl Dialect for FanucWriter {
         let word = |(axis, from, to): &(usize, Option<i64>, i64)| {
             let name = AXIS_LETTERS[*axis];
             match from {
-                Some(from) => format!("{name}{}", format_decimal(to - from)),
+                Some(from) => format!("{name}{}", format_mm_with_point(to - from)),
                 None => {
-                    format!("{name}[{}-#{}]", format_decimal(*to), MACHINE_POSITION_VARIABLE + axis)
+                    format!(
+                        "{name}[{}-#{}]",
+                        format_mm_with_point(*to),
+                        MACHINE_POSITION_VARIABLE + axis
+                    )
                 }
             }
         };
@@ -129,7 +133,7 @@ impl Dialect for FanucWriter {
 
     fn write_arc(&mut self, around: &ArcBlocks) {
         self.push_block(format!("{} G64", around.plane_code()));
-        let word = |letter, um| format!("{letter}{}", format_decimal(um));
+        let word = |letter, um| format!("{letter}{}", format_mm_with_point(um));
         for (is_ccw, words) in around.format_words(word, word) {
             let turn = if is_ccw { "G03" } else { "G02" };
             self.push_block(format!("G91 {turn}{words} F{}", around.feed));
@@ -191,7 +195,7 @@ fn sanitise_comment(text: &str) -> String {
 }
 
 /// `50.`: without its point a number may count in micrometres.
-fn format_decimal(um: i64) -> String {
+fn format_mm_with_point(um: i64) -> String {
     let text = format_mm(um);
     if text.contains('.') { text } else { text + "." }
 }

@@ -11,7 +11,7 @@ use crate::{
     options::MeasurementOptions,
     plan::{Column, MeasurementPlan, Step},
     program_error::ProgramError,
-    travel::{AxisTravel, evenly_spaced_positions, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions_mm, round_to_micrometres},
 };
 
 /// Where, in mm (paper 2).
@@ -19,7 +19,7 @@ const DEFAULT_MEASURED_RANGE_MM: [f64; 2] = [500.0, 1500.0];
 /// From target to target, in mm (paper 2).
 const MAX_TARGET_STEP_MM: f64 = 100.0;
 /// From measurement to measurement, in s (paper 2).
-const DEFAULT_HEATING_DURATION_S: f64 = 1200.0;
+const DEFAULT_HEATING_ROUND_S: f64 = 1200.0;
 /// Rounds of heat: two hours.
 const DEFAULT_HEATING_ROUNDS: u32 = 6;
 /// The most strokes of a round: FANUC repeats no more often.
@@ -38,16 +38,16 @@ fn create_plan(
     options: &MeasurementOptions,
 ) -> Result<MeasurementPlan, ProgramError> {
     let axis = travel.axis;
-    let [low, high] = select_measured_range(travel, options);
+    let [low, high] = select_measured_range_mm(travel, options);
     let step = options.step_mm.unwrap_or(MAX_TARGET_STEP_MM.min((high - low) / 4.0));
-    let targets = evenly_spaced_positions(low, high, step).ok_or_else(|| {
+    let targets = evenly_spaced_positions_mm(low, high, step).ok_or_else(|| {
         ProgramError(format!(
             "--step-mm {step} does not fit into {low} to {high} mm of {}",
             axis.name()
         ))
     })?;
     let heat_feed = options.heat_feed_mm_per_min;
-    let strokes = (options.heat_s.unwrap_or(DEFAULT_HEATING_DURATION_S) * heat_feed
+    let strokes = (options.heat_s.unwrap_or(DEFAULT_HEATING_ROUND_S) * heat_feed
         / 60.0
         / (2.0 * (high - low)))
         .ceil();
@@ -78,7 +78,7 @@ fn create_plan(
     let mut round = measure();
     round.extend([linear_move(travel, near, heat_feed), heat]);
     let rounds = options.repeats.unwrap_or(DEFAULT_HEATING_ROUNDS);
-    let [start, _] = travel.ordered_ends_mm();
+    let [start, _] = travel.ends_in_approach_order_mm();
     // A tool axis is retracted before it goes to its first place.
     let mut steps: Vec<Step> =
         travel.retract.map(|_| travel.approach_step(start)).into_iter().collect();
@@ -104,7 +104,7 @@ fn create_plan(
 }
 
 /// Returns the range that is requested, else the paper's as far as the travel has it, else all of that.
-fn select_measured_range(travel: &AxisTravel, options: &MeasurementOptions) -> [f64; 2] {
+fn select_measured_range_mm(travel: &AxisTravel, options: &MeasurementOptions) -> [f64; 2] {
     let [inside_low, inside_high] = travel.target_range_mm();
     let (low, high) = (
         inside_low.max(DEFAULT_MEASURED_RANGE_MM[0]),

@@ -97,7 +97,7 @@ impl ClearanceMove {
                 return Err(refused("the tool would move towards the part; change the sign"));
             }
             Some(_) => {
-                let [retracted, _] = range.ordered_ends_mm();
+                let [retracted, _] = range.ends_in_approach_order_mm();
                 (retracted - mm, retracted)
             }
             None => {
@@ -135,7 +135,7 @@ fn create_plan(
     let [low, high] = travel.target_range_mm();
     let places = travel.arrange_in_approach_order([low, (low + high) / 2.0, high]);
     let is_dial = selected_instrument(options) == MeasuringInstrument::Dial;
-    let [start, _] = travel.ordered_ends_mm();
+    let [start, _] = travel.ends_in_approach_order_mm();
     // A tool axis is retracted before it goes to its first place.
     let mut steps: Vec<Step> =
         travel.retract.map(|_| travel.approach_step(start)).into_iter().collect();

@@ -36,7 +36,7 @@ const ANGLE_BELOW_PIVOT_DEG: f64 = 20.0;
 /// An axis with more than this share of the tool direction leads along the tool.
 const MIN_TOOL_DIRECTION_COMPONENT: f64 = 0.01;
 /// The most by which a circle through whole micrometres is larger, in mm.
-const MAX_ROUNDING_MM: f64 = 0.001;
+const MAX_RADIUS_ROUNDING_MM: f64 = 0.001;
 /// The radius within which a control takes the rounding of both ends for a circle, in mm.
 const MIN_CIRCLE_RADIUS_MM: f64 = 1.0;
 
@@ -112,8 +112,8 @@ fn place_circle(
     let room = |n: usize, radius: f64| -> [f64; 2] {
         let [low, high] = way.extent[n];
         [
-            pair[n].low_mm - low * radius + MAX_ROUNDING_MM,
-            pair[n].high_mm - high * radius - MAX_ROUNDING_MM,
+            pair[n].low_mm - low * radius + MAX_RADIUS_ROUNDING_MM,
+            pair[n].high_mm - high * radius - MAX_RADIUS_ROUNDING_MM,
         ]
     };
     let centre = |n: usize, radius: f64| {

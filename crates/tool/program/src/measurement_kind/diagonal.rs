@@ -14,7 +14,7 @@ use crate::{
     options::MeasurementOptions,
     plan::{Column, MeasurementPlan, Step},
     program_error::ProgramError,
-    travel::{AxisTravel, evenly_spaced_positions, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions_mm, resolve_travels, round_to_micrometres},
 };
 
 /// There and back so often.
@@ -45,7 +45,7 @@ pub(crate) fn create_plans(
 
 /// Returns the ends of both axes, where the diagonal begins and where it ends. A tool axis begins where it is
 /// retracted; an axis that may begin at either end begins at the same one as the other, so that both rise.
-fn diagonal_ends(
+fn diagonal_ends_mm(
     pair: [&AxisTravel; 2],
     ends_mm: impl Fn(&AxisTravel) -> [f64; 2],
 ) -> [[f64; 2]; 2] {
@@ -74,12 +74,12 @@ fn create_plan(
         }
         to
     };
-    let [near, far] = diagonal_ends(pair, |travel| [travel.low_mm, travel.high_mm]);
-    let [from, until] = diagonal_ends(pair, AxisTravel::target_range_mm);
+    let [near, far] = diagonal_ends_mm(pair, |travel| [travel.low_mm, travel.high_mm]);
+    let [from, until] = diagonal_ends_mm(pair, AxisTravel::target_range_mm);
     let at = |share: f64| [0, 1].map(|n| from[n] + share * (until[n] - from[n]));
     let length = (until[0] - from[0]).hypot(until[1] - from[1]);
     let step = options.step_mm.unwrap_or(MAX_TARGET_STEP_MM.min(length / MIN_STEPS));
-    let shares: Vec<f64> = evenly_spaced_positions(0.0, length, step)
+    let shares: Vec<f64> = evenly_spaced_positions_mm(0.0, length, step)
         .ok_or_else(|| ProgramError(format!("--step-mm {step} does not fit into {length:.0} mm")))?
         .into_iter()
         // A length that is rounded to whole micrometres is not 1.

@@ -85,7 +85,7 @@ fn plan_each_pair(
 
 /// Returns a move of one axis at a feed.
 fn linear_move(travel: &AxisTravel, mm: f64, feed_mm_per_min: f64) -> Step {
-    Step::Move { to_mm: travel.target_position(mm), feed_mm_per_min }
+    Step::Move { to_mm: travel.target_position_mm(mm), feed_mm_per_min }
 }
 
 /// Returns the steps from one end of the range to the other and back, `times` times, with a reading at each of the
@@ -98,7 +98,7 @@ fn bidirectional_passes(
 ) -> Vec<Step> {
     let feed = options.first_feed_mm_per_min();
     let targets = travel.arrange_in_approach_order(targets);
-    let [start, far] = travel.ordered_ends_mm();
+    let [start, far] = travel.ends_in_approach_order_mm();
     let read = |mm: &f64| [linear_move(travel, *mm, feed), Step::Read(options.dwell_s)];
     let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
     run.push(linear_move(travel, far, feed));

@@ -72,7 +72,7 @@ fn create_plan(
 ) -> Result<MeasurementPlan, ProgramError> {
     let axis = travel.axis;
     let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
-    let steps = bidirectional_passes(travel, compute_targets(travel, options)?, times, options);
+    let steps = bidirectional_passes(travel, compute_targets_mm(travel, options)?, times, options);
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.extend([Column::Direction(axis.index()), Column::Empty(measured_column_name(axis))]);
     Ok(MeasurementPlan {
@@ -85,7 +85,7 @@ fn create_plan(
     })
 }
 
-fn compute_targets(
+fn compute_targets_mm(
     travel: &AxisTravel,
     options: &MeasurementOptions,
 ) -> Result<Vec<f64>, ProgramError> {

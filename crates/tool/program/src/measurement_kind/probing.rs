@@ -133,14 +133,16 @@ impl ProbeSetup {
 
     /// Returns the place at which the tool is retracted.
     pub(crate) fn retracted_position_mm(&self) -> f64 {
-        self.travels[self.tool].ordered_ends_mm()[0]
+        self.travels[self.tool].ends_in_approach_order_mm()[0]
     }
 
     /// Returns the steps from anywhere to the retracted end of the tool, and of what else is vertical.
     pub(crate) fn retract_steps(&self) -> Vec<Step> {
         let mut order = vec![self.tool];
         order.extend(self.sides.into_iter().filter(|n| self.travels[*n].retract.is_some()));
-        let to = |n: usize| self.travels[n].approach_step(self.travels[n].ordered_ends_mm()[0]);
+        let to = |n: usize| {
+            self.travels[n].approach_step(self.travels[n].ends_in_approach_order_mm()[0])
+        };
         order.into_iter().map(to).collect()
     }
 

@@ -49,7 +49,7 @@ pub(crate) fn create_plans(
         }
         steps.extend(probing.retract_steps());
         for &angle_deg in &poses {
-            let at_mm = rotated_centre_mm(machine, &probing, angle_deg);
+            let at_mm = axis_position_at_ball_mm(machine, &probing, angle_deg);
             let at_mm = probing.adjust_position_for_stylus(at_mm, length_mm);
             if let Err(why) = ball.check(&probing, at_mm) {
                 skipped += 1;
@@ -146,7 +146,11 @@ fn enumerate_poses(
 }
 
 /// Returns where the axes stand with the tip in the centre of the ball, whose place is stated with all angles at 0.
-fn rotated_centre_mm(machine: &Machine, probing: &ProbeSetup, angle_deg: RotaryAngles) -> [f64; 3] {
+fn axis_position_at_ball_mm(
+    machine: &Machine,
+    probing: &ProbeSetup,
+    angle_deg: RotaryAngles,
+) -> [f64; 3] {
     let at_mm = probing.at_mm;
     let Some(chain) = &machine.volume.chain else { return at_mm };
     let mut tool = machine.volume.tool;

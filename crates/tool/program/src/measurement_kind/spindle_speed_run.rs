@@ -18,7 +18,7 @@ pub struct SpeedSegment {
 }
 
 /// How long a reading takes, in s, where there is this much time.
-const READING_DWELL_S: f64 = 5.0;
+const MAX_READING_DWELL_S: f64 = 5.0;
 
 /// Returns the plan of `stretches`, read every `every_s` seconds (above 0); `inputs` are the columns to be filled in
 /// next to the growth, and `why` is what it is run for, a sentence.
@@ -29,7 +29,7 @@ pub fn plan_speed_run(
     inputs: &[String],
     why: &str,
 ) -> MeasurementPlan {
-    let dwell_s = READING_DWELL_S.min(0.5 * every_s);
+    let dwell_s = MAX_READING_DWELL_S.min(0.5 * every_s);
     let mut steps = vec![Step::Read(dwell_s)];
     for stretch in stretches {
         if stretch.load_n > 0.0 {

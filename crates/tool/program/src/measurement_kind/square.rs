@@ -23,7 +23,7 @@ use crate::{
     plan::{Column, MeasurementPlan, Step},
     probe::{ProbedPoint, TouchMean},
     program_error::ProgramError,
-    travel::{evenly_spaced_positions, round_to_micrometres},
+    travel::{evenly_spaced_positions_mm, round_to_micrometres},
 };
 
 /// Rounds around both faces.
@@ -54,7 +54,7 @@ fn create_plan(
     let inset = FACE_INSET_STYLUS_DIAMETERS * probing.stylus_mm;
     let long_mm = size_mm - 2.0 * inset;
     let step_mm = options.step_mm.unwrap_or(long_mm / DEFAULT_STEPS_PER_FACE);
-    let along = evenly_spaced_positions(inset, inset + long_mm, step_mm).ok_or_else(|| {
+    let along = evenly_spaced_positions_mm(inset, inset + long_mm, step_mm).ok_or_else(|| {
         ProgramError(format!("--step-mm {step_mm} does not fit on faces of {size_mm} mm"))
     })?;
     let [first, second] = probing.sides;

@@ -21,7 +21,7 @@ use crate::{
     options::MeasurementOptions,
     plan::{Column, MeasurementPlan, Step},
     program_error::ProgramError,
-    travel::{AxisTravel, evenly_spaced_positions, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced_positions_mm, resolve_travels, round_to_micrometres},
 };
 
 /// Repeats of a diagonal.
@@ -83,7 +83,7 @@ fn create_plan(
         .map(|end: usize| [0, 1, 2].map(|n: usize| ordered(n, travels[n].target_range_mm())[end]));
     let length = (0..3).map(|n| (until[n] - from[n]).powi(2)).sum::<f64>().sqrt();
     let step_mm = options.step_mm.unwrap_or(length / DEFAULT_STEPS_PER_AXIS);
-    let shares = evenly_spaced_positions(0.0, length, step_mm).ok_or_else(|| {
+    let shares = evenly_spaced_positions_mm(0.0, length, step_mm).ok_or_else(|| {
         ProgramError(format!("--step-mm {step_mm} does not fit into {length:.0} mm"))
     })?;
     let mm = |n: usize, step: usize| {
@@ -91,7 +91,7 @@ fn create_plan(
         round_to_micrometres(from[n] + (shares[step] / length).min(1.0) * (until[n] - from[n]))
     };
     let go = |n: usize, mm: f64| Step::Move {
-        to_mm: travels[n].target_position(mm),
+        to_mm: travels[n].target_position_mm(mm),
         feed_mm_per_min: feed,
     };
     let mut run: Vec<Step> = (0..3).map(|n| go(n, mm(n, 0))).collect();

@@ -88,7 +88,7 @@ pub fn plan_target_run(
             name = axis.name()
         )));
     }
-    let [start, far] = way.ordered_ends_mm();
+    let [start, far] = way.ends_in_approach_order_mm();
     let ordered = way.arrange_in_approach_order(run.targets_mm.clone());
     let measure = |feed: f64| {
         let read = |mm: &f64| [linear_move(&way, *mm, feed), Step::Read(run.dwell_s)];

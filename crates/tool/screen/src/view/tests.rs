@@ -58,7 +58,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
             state.receive(&frame, f64::from(now) / 1_000.0);
         }
         if now % 200 == 199 {
-            state.record_trend_sample(f64::from(now) / 1_000.0);
+            state.sample_live_values(f64::from(now) / 1_000.0);
         }
     }
     state
@@ -144,7 +144,7 @@ fn a_fault_stands_there_with_its_remedy_at_every_size_and_without_colour() {
 fn silence_is_reported_and_not_shown_as_the_last_offset() {
     let mut state = watched(4_000, 731, true);
     state.link = LinkState::Down("the bridge has closed the line".into());
-    state.record_trend_sample(6.0);
+    state.sample_live_values(6.0);
     let (text, _) = screen(&state, (80, 24), false);
     has(&text, &["NO OFFSETS COME for 2 s", "line down, trying again: the bridge has closed"]);
     // The last ones stand there as what they are.
@@ -158,7 +158,7 @@ fn silence_is_reported_and_not_shown_as_the_last_offset() {
 #[test]
 fn what_is_old_is_grey_and_has_its_age() {
     let mut state = watched(4_000, 731, true);
-    state.record_trend_sample(15.0);
+    state.sample_live_values(15.0);
     let old = [
         "NO OFFSETS COME for 11 s",
         "Growth    +12.27 µm (1",
@@ -184,7 +184,7 @@ fn what_is_old_is_grey_and_has_its_age() {
     }
     assert!(screen(&state, (80, 24), false).0.contains("axis heat                 ?"));
     let mut fault = watched(4_000, 0, true);
-    fault.record_trend_sample(15.0);
+    fault.sample_live_values(15.0);
     has(&screen(&fault, (80, 24), false).0, &["As it was 1", "sensor: out of range or stuck"]);
     // The trend does not go on with it.
     let growth = state.trend.series(0);
@@ -259,7 +259,7 @@ fn readings_stand_in_the_trend_and_the_last_is_undone() {
         state.record_gauge_reading(um);
     }
     state.set_recording_counts(2, 40);
-    state.record_trend_sample(4.2);
+    state.sample_live_values(4.2);
     let (text, _) = screen(&state, (80, 30), false);
     // 4 s of record: the axis is 10 s long.
     has(&text, &["growth, µm, the last 10 s; • gauge", "-10 s", "-5 s", "now", "•", "+15.00"]);
@@ -271,7 +271,7 @@ fn readings_stand_in_the_trend_and_the_last_is_undone() {
     // The last of the series: gauge minus bridge, 15 − 12.27.
     (0..8).find(|_| {
         state.handle_key(PressedKey::Char('t'));
-        state.series == crate::trend::DIFFERENCE_SERIES_INDEX
+        state.series == crate::trend::GAUGE_DIFFERENCE_INDEX
     });
     has(
         &screen(&state, (80, 30), false).0,
@@ -340,7 +340,7 @@ fn a_gauge_that_speaks_is_written_down_at_once_and_an_old_reading_never() {
     assert_eq!(state.handle_gauge_reading(Ok(-2.5), 4.0), None);
     assert_eq!(state.handle_key(PressedKey::Char('g')), Some(ScreenAction::Mark(-2.5)));
     has(&screen(&state, (80, 24), false).0, &["gauge elongation -2.50 µm"]);
-    state.record_trend_sample(9.0);
+    state.sample_live_values(9.0);
     assert_eq!(state.handle_key(PressedKey::Char('g')), None, "it is five seconds old");
     has(&screen(&state, (80, 24), false).0, &["or press its button", "(5 s ago)"]);
     assert_eq!(state.handle_gauge_reading(Ok(-2.75), 10.0), Some(ScreenAction::Mark(-2.75)));

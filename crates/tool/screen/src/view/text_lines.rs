@@ -104,7 +104,7 @@ fn sensor_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'st
     match (state.growth_um(), laws) {
         (None, _) => spans.push(Span::raw("gives no reading")),
         (Some(_), None) => spans.push(Span::raw("volts and codes need --machine M.toml")),
-        (Some(um), Some(laws)) => match laws.sensor_reading(um) {
+        (Some(um), Some(laws)) => match laws.sensor_reading_from_elongation(um) {
             None => spans.push(Span::raw("none in this machine")),
             Some(reading) => {
                 spans.push(Span::styled(format!("{:8.4} V", reading.volts), theme.value_style()));
@@ -148,7 +148,7 @@ fn growth_line(state: &ScreenState, theme: Theme) -> Line<'static> {
         let old = if is_old { format!(" ({})", format_age(age_s)) } else { String::new() };
         let text = format!("   gauge {} {um:+.2} µm{old}", gauge.quantity.name());
         spans.push(if is_old { Span::styled(text, theme.stale_style()) } else { Span::raw(text) });
-        if let Some(um) = state.difference_um() {
+        if let Some(um) = state.gauge_difference_um() {
             spans.push(Span::raw(format!("   gauge − bridge {um:+.2} µm")));
         }
     }

@@ -15,21 +15,21 @@ use super::Theme;
 use crate::{
     compensation_model::CompensationModel,
     state::ScreenState,
-    trend::{DIFFERENCE_SERIES_INDEX, TREND_WINDOW_S},
+    trend::{GAUGE_DIFFERENCE_INDEX, TREND_WINDOW_S},
 };
 
 /// The least height of the drawn range: below it there is only noise, in µm or °C.
 const MIN_PLOTTED_VALUE_RANGE: f64 = 0.5;
 /// The least height with a row for the ticks of the time.
-const MIN_HEIGHT_FOR_TICKS: u16 = 5;
+const MAX_HEIGHT_WITHOUT_TICKS: u16 = 5;
 /// The least length of the drawn time, in s.
 const MIN_PLOTTED_TIME_RANGE_S: f64 = 10.0;
 
 /// Draws it.
-pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme) {
+pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme) {
     let points = state.trend.series(state.series);
     // The readings of the gauge stand on the curve that they are to be compared with.
-    let marks = match gauge_series(state.gauge.quantity) {
+    let marks = match gauge_series_and_sign(state.gauge.quantity) {
         (series, sign) if series == state.series => {
             let marks = state.trend.gauge_readings().into_iter();
             marks.map(|(at_s, um)| (at_s, sign * um)).collect()
@@ -45,9 +45,9 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme
     let bounds = [least - spare, most + spare];
     let begin =
         points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_PLOTTED_TIME_RANGE_S, TREND_WINDOW_S);
-    let (name, unit) = series_label(state);
+    let (name, unit) = series_name_and_unit(state);
     let mut title = format!("{name}, {unit}, the last {}", format_duration(begin));
-    if state.series == DIFFERENCE_SERIES_INDEX
+    if state.series == GAUGE_DIFFERENCE_INDEX
         && let Some((_, last)) = points.last()
     {
         title += &format!(": {last:+.2}");
@@ -71,7 +71,7 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme
     let ticks = [-begin, -begin / 2.0, 0.0].map(|at_s| Line::raw(format_tick(at_s)));
     // A row for the ticks, if the curve keeps some.
     let x = Axis::default().bounds([-begin, 0.0]);
-    let x = if area.height > MIN_HEIGHT_FOR_TICKS { x.labels(ticks) } else { x };
+    let x = if area.height > MAX_HEIGHT_WITHOUT_TICKS { x.labels(ticks) } else { x };
     let chart = Chart::new(vec![data, readings])
         .block(Block::new().borders(Borders::TOP).title(title).style(Style::new()))
         .x_axis(x)
@@ -95,7 +95,7 @@ fn format_tick(at_s: f64) -> String {
 
 /// Returns the series that a gauge of this quantity is compared with, and the sign of its readings there: an offset is
 /// what takes an error away.
-const fn gauge_series(quantity: Quantity) -> (usize, f64) {
+const fn gauge_series_and_sign(quantity: Quantity) -> (usize, f64) {
     match quantity {
         Quantity::Elongation => (0, 1.0),
         Quantity::Dx => (1, -1.0),
@@ -104,10 +104,10 @@ const fn gauge_series(quantity: Quantity) -> (usize, f64) {
     }
 }
 
-fn series_label(state: &ScreenState) -> (String, &'static str) {
+fn series_name_and_unit(state: &ScreenState) -> (String, &'static str) {
     match state.series {
         0 => ("growth".into(), "µm"),
-        DIFFERENCE_SERIES_INDEX => {
+        GAUGE_DIFFERENCE_INDEX => {
             (format!("gauge {} minus bridge", state.gauge.quantity.name()), "µm")
         }
         which @ 1..=3 => (format!("offset of {}", ["X", "Y", "Z"][which - 1]), "µm"),

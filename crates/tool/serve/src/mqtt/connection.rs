@@ -19,7 +19,7 @@ const NETWORK_TIMEOUT_S: u64 = 15;
 /// Requests that the library takes before it has sent them.
 const REQUEST_QUEUE_CAPACITY: usize = 8_192;
 /// Messages at least once that the library has on their way at most.
-const MAX_INFLIGHT: u16 = 256;
+const MAX_INFLIGHT_MESSAGES: u16 = 256;
 /// Maximum bytes of a message that comes, and of one that goes.
 const MAX_PACKET_BYTES: [usize; 2] = [64 << 10, 2 << 20];
 
@@ -57,7 +57,7 @@ impl MqttConnection {
         options
             .set_keep_alive(MQTT_KEEP_ALIVE_PERIOD)
             .set_clean_session(true)
-            .set_inflight(MAX_INFLIGHT);
+            .set_inflight(MAX_INFLIGHT_MESSAGES);
         options.set_transport(broker.transport());
         let [incoming, outgoing] = MAX_PACKET_BYTES;
         options.set_max_packet_size(incoming, outgoing);
@@ -130,7 +130,7 @@ impl MqttConnection {
     }
 
     /// Returns how many requests the library has not sent.
-    pub(crate) fn unsent_count(&self) -> usize {
+    pub(crate) fn unsent_request_count(&self) -> usize {
         self.requested.len()
     }
 

@@ -13,8 +13,8 @@
 use srad_types::payload::{self, DataType, metric};
 
 use super::{
-    REBIRTH_METRIC, birth_metric, device_id, encode_payload, named_metric, non_sparkplug_topic,
-    topic,
+    REBIRTH_METRIC, build_birth_metric, build_named_metric, device_id, encode_payload,
+    non_sparkplug_topic, topic,
 };
 use crate::{
     metrics::{FLAGS_METRIC, Metric, MetricValue, bridge_metrics},
@@ -124,7 +124,7 @@ impl EdgeNode {
     }
 
     /// Returns all births: after the broker has accepted the connection, and when a host requests them.
-    pub(crate) fn rebirth(
+    pub(crate) fn build_rebirth_messages(
         &mut self,
         own: NodeStatistics,
         bridges: &[BridgeSnapshot],
@@ -144,9 +144,9 @@ impl EdgeNode {
         let mut messages = Vec::new();
         let metrics = self.node_metrics(own);
         match self.own.take() {
-            None => messages.push(self.build_birth_message(&metrics, time_ms)),
+            None => messages.push(self.build_node_birth_message(&metrics, time_ms)),
             Some(previous) => {
-                let changed = changed_metrics(&previous, &metrics, 1, time_ms);
+                let changed = build_changed_metrics(&previous, &metrics, 1, time_ms);
                 if !changed.is_empty() {
                     messages.push(self.build_sequenced_message("NDATA", None, changed, time_ms));
                 }
@@ -192,11 +192,11 @@ impl EdgeNode {
         ]
     }
 
-    fn build_birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> MqttMessage {
+    fn build_node_birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> MqttMessage {
         self.seq = 0;
         let mut all = vec![self.build_bd_seq_metric(time_ms)];
         all.extend(metrics.iter().zip(1..).map(|(declared, alias)| {
-            let mut metric = birth_metric(declared, alias, time_ms);
+            let mut metric = build_birth_metric(declared, alias, time_ms);
             // In Sparkplug a host requests it by its name.
             metric.alias = metric.alias.filter(|_| declared.name != REBIRTH_METRIC);
             metric
@@ -230,12 +230,12 @@ impl EdgeNode {
         }
         if let Some(id) = &id {
             let (kind, metrics) = if old.as_ref() == Some(id) {
-                ("DDATA", changed_metrics(&reported, &now, first, time_ms))
+                ("DDATA", build_changed_metrics(&reported, &now, first, time_ms))
             } else {
                 let all = now.iter().zip(first..);
                 (
                     "DBIRTH",
-                    all.map(|(metric, alias)| birth_metric(metric, alias, time_ms)).collect(),
+                    all.map(|(metric, alias)| build_birth_metric(metric, alias, time_ms)).collect(),
                 )
             };
             if !metrics.is_empty() {
@@ -257,7 +257,7 @@ impl EdgeNode {
     ) -> MqttMessage {
         let metrics = metrics
             .iter()
-            .map(|metric| named_metric(metric.name, &metric.value, time_ms))
+            .map(|metric| build_named_metric(metric.name, &metric.value, time_ms))
             .collect();
         let topic = non_sparkplug_topic(&self.name, Some(id), "state");
         MqttMessage {
@@ -269,7 +269,7 @@ impl EdgeNode {
 }
 
 /// Returns the metrics that have another value now, by their aliases.
-fn changed_metrics(
+fn build_changed_metrics(
     previous: &[Metric],
     now: &[Metric],
     first: u64,
@@ -279,7 +279,7 @@ fn changed_metrics(
     pairs
         .filter(|((previous, now), _)| previous.value != now.value)
         .map(|((_, now), alias)| {
-            let mut metric = named_metric(now.name, &now.value, time_ms);
+            let mut metric = build_named_metric(now.name, &now.value, time_ms);
             (metric.name, metric.datatype) = (None, None);
             metric.set_alias(alias);
             metric

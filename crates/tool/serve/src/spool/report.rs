@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    DAMAGED_FOLDER,
+    DAMAGED_FOLDER_NAME,
     segment::{DamagedRange, IndexEntry},
 };
 use crate::clock::format_utc;
@@ -78,7 +78,11 @@ impl SpoolReport {
         }
     }
 
-    pub(super) fn unreadable(file: &Path, entry: IndexEntry, why: Option<&io::Error>) -> Self {
+    pub(super) fn unreadable_record(
+        file: &Path,
+        entry: IndexEntry,
+        why: Option<&io::Error>,
+    ) -> Self {
         let IndexEntry { number, time_ms, .. } = entry;
         Self::Unreadable { file: file.into(), number, time_ms, why: why.map(io::Error::to_string) }
     }
@@ -139,7 +143,7 @@ impl fmt::Display for SpoolReport {
                 }
                 write!(
                     f,
-                    "; all others are sent, and its file is kept in {DAMAGED_FOLDER}; check the disk"
+                    "; all others are sent, and its file is kept in {DAMAGED_FOLDER_NAME}; check the disk"
                 )
             }
             Self::Unread { file, why } => write!(

@@ -208,14 +208,14 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     spool.settle(now + READ_RETRY_TIMEOUT + RETENTION_TIME);
     assert!(files(&folder).is_empty());
     let stored =
-        fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));
+        fs::read(folder.path().join(DAMAGED_FOLDER_NAME).join(path.file_name().expect("a name")));
     assert!(stored.is_ok_and(|bytes| !bytes.is_empty()));
 }
 
 #[test]
 fn the_oldest_files_give_way_and_the_report_says_which_records() {
     let folder = folder();
-    let mut spool = Spool::open(folder.path(), 3 * MAX_SEGMENT_BYTES).expect("it opens");
+    let mut spool = Spool::open(folder.path(), 3 * SEGMENT_ROLLOVER_BYTES).expect("it opens");
     let long = "x".repeat(1_000);
     let drafts: Vec<NewRecord> = (0..500).map(|_| draft(&long)).collect();
     for _ in 0..12 {
@@ -238,7 +238,7 @@ fn the_oldest_files_give_way_and_the_report_says_which_records() {
     assert_eq!(gone + texts(&mut spool).len(), 12 * 500);
     let bytes: u64 =
         files(&folder).iter().map(|file| fs::metadata(file).expect("it is there").len()).sum();
-    assert!(bytes <= 3 * MAX_SEGMENT_BYTES, "{bytes}");
+    assert!(bytes <= 3 * SEGMENT_ROLLOVER_BYTES, "{bytes}");
 }
 
 #[test]

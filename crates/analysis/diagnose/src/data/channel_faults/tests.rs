@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use trueup_campaigns::hidden_effects::{HiddenCause, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw_test_case};
 use trueup_machine::{Machine, MachineFile, RunFile, machine_file::Quantity};
 use trueup_measured_data::find_measured_file as measured;
 
@@ -60,7 +60,7 @@ fn no_channel_of_the_score_cards_draws_is_set_aside() {
     let (mut channels, mut draws) = (0, 0);
     for cause in HiddenCause::ALL {
         for seed in 1..=4 {
-            let challenge = draw(*cause, 3.0, seed);
+            let challenge = draw_test_case(*cause, 3.0, seed);
             let believed = machine(&challenge.machine);
             let runs: Vec<RunFile> = challenge.runs.iter().map(|text| run(text)).collect();
             for runs in [runs, vec![run(&challenge.holdout)]] {

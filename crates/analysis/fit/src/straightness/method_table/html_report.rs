@@ -59,7 +59,7 @@ fn residual_table(entry: &MethodTableEntry) -> HtmlTable {
     ]);
     let left = |name: String,
                 coefficients: String,
-                left: &super::ResidualError,
+                left: &super::ResidualDeviation,
                 requested: [String; 2]| {
         let [jump, acceleration] = requested;
         [

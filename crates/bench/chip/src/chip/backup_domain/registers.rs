@@ -6,7 +6,7 @@ pub(crate) const PWR_CR_OFFSET: u32 = 0x00;
 pub(crate) const PWR_CSR_OFFSET: u32 = 0x04;
 
 /// PWR_CR, CWUF and CSBF: they clear flags and read as 0.
-pub(crate) const PWR_CR_CLEAR_BITS: u32 = 0xc;
+pub(crate) const PWR_CR_CLEAR_MASK: u32 = 0xc;
 /// PWR_CR, DBP: opens the backup domain to writes.
 pub(super) const PWR_CR_DBP: u32 = 1 << 8;
 /// PWR_CR, VOS: the regulator is at scale 1.

@@ -84,7 +84,7 @@ pub(crate) const TSR_TERR: u32 = 1 << 3;
 /// CAN_TSR, ABRQ0: aborts the request of mailbox 0.
 pub(super) const TSR_ABRQ: u32 = 1 << 7;
 /// CAN_TSR: bits from one mailbox to the next.
-pub(super) const TSR_MAILBOX_BITS: usize = 8;
+pub(super) const TSR_MAILBOX_STRIDE_BITS: usize = 8;
 /// CAN_TSR, CODE: position of the next empty mailbox.
 pub(super) const TSR_CODE_SHIFT: u32 = 24;
 /// CAN_TSR, TME0: position of the flag that mailbox 0 is empty.
@@ -108,7 +108,7 @@ pub(super) const IER_TMEIE: u32 = 1 << 0;
 /// CAN_IER, FMPIE0: position of the enable bits of FIFO 0, FMPIE, FFIE and FOVIE.
 pub(super) const IER_FIFO_SHIFT: usize = 1;
 /// CAN_IER: bits from one FIFO to the next.
-pub(super) const IER_FIFO_BITS: usize = 3;
+pub(super) const IER_FIFO_STRIDE_BITS: usize = 3;
 /// CAN_IER, FMPIE: enables the interrupt of a frame in a FIFO, shifted down.
 pub(super) const IER_FMPIE: u32 = 1 << 0;
 /// CAN_IER, FFIE: enables the interrupt of a full FIFO, shifted down.

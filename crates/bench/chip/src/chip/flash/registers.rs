@@ -64,7 +64,7 @@ pub(super) const SR_PROGRAM_ERROR_MASK: u32 = SR_PGSERR | SR_PGPERR | SR_PGAERR 
 /// Flags of FLASH_SR for which an erase is refused.
 pub(super) const SR_ERROR_MASK: u32 = SR_PROGRAM_ERROR_MASK | SR_OPERR;
 /// Flags of FLASH_SR that a write of 1 clears.
-pub(super) const SR_CLEARED_BY_ONE: u32 = SR_ERROR_MASK | SR_EOP;
+pub(super) const SR_WRITE_ONE_CLEAR_MASK: u32 = SR_ERROR_MASK | SR_EOP;
 
 /// FLASH_CR, PG: writes program the array.
 pub(super) const CR_PG: u32 = 1 << 0;

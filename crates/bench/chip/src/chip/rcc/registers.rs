@@ -109,9 +109,9 @@ pub(super) const RCC_CFGR_SW_MASK: u32 = 0x3;
 /// RCC_CFGR, SWS: position of the system clock in use.
 pub(super) const RCC_CFGR_SWS_SHIFT: u32 = 2;
 /// RCC_CFGR, SWS: its two bits, shifted down.
-pub(super) const RCC_CFGR_SWS_FIELD_MASK: u32 = 0x3;
+pub(super) const RCC_CFGR_SWS_MASK: u32 = 0x3;
 /// RCC_CFGR, SWS: the field in its place.
-pub(super) const RCC_CFGR_SWS: u32 = RCC_CFGR_SWS_FIELD_MASK << RCC_CFGR_SWS_SHIFT;
+pub(super) const RCC_CFGR_SWS: u32 = RCC_CFGR_SWS_MASK << RCC_CFGR_SWS_SHIFT;
 /// RCC_CFGR, SW and SWS: the system clock is the internal oscillator.
 pub(super) const SYSTEM_CLOCK_HSI: u32 = 0;
 /// RCC_CFGR, SW and SWS: the system clock is the crystal.

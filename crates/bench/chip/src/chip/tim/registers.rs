@@ -38,7 +38,7 @@ pub(super) const CR1_URS: u32 = 1 << 2;
 /// TIMx_CR1, OPM: the counter stops at an update.
 pub(super) const CR1_OPM: u32 = 1 << 3;
 /// TIMx_CR1, DIR and CMS: counts down or up and down.
-pub(super) const CR1_DIR_CMS: u32 = 0x70;
+pub(super) const CR1_DIR_CMS_MASK: u32 = 0x70;
 /// TIMx_CR1, ARPE: TIMx_ARR takes effect at an update.
 pub(super) const CR1_ARPE: u32 = 1 << 7;
 /// Writable bits of TIMx_CR1.

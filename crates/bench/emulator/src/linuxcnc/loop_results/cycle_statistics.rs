@@ -58,7 +58,7 @@ pub(super) fn vector_norm(v: [f64; 3]) -> f64 {
 }
 
 /// Returns the range of the error across the diagonal, on X, Y and Z.
-pub(super) fn cross_track_range(cycles: &[&ServoCycle]) -> [f64; 3] {
+pub(super) fn cross_track_range_um(cycles: &[&ServoCycle]) -> [f64; 3] {
     let [x, y, _] = config::AXIS_TRAVEL_MM;
     let direction = [x / x.hypot(y), y / x.hypot(y), 0.0];
     let across = |cycle: &ServoCycle| {
@@ -69,7 +69,7 @@ pub(super) fn cross_track_range(cycles: &[&ServoCycle]) -> [f64; 3] {
 }
 
 /// Returns the range of the radial error on the arc.
-pub(super) fn radial_error_range(cycles: &[&ServoCycle]) -> f64 {
+pub(super) fn radial_error_range_um(cycles: &[&ServoCycle]) -> f64 {
     let ([cx, cy], ..) = config::ARC_CENTRE_RADIUS_FEED;
     peak_to_peak(cycles.iter().map(|cycle| {
         let [x, y, _] = cycle.commanded_mm();
@@ -140,7 +140,7 @@ pub(super) fn compare_staircases(
 const LAG_AXIS_INDEX: usize = 1;
 
 /// Returns the delay, in cycles, at which the offset is what the machine file asks for; and how many µm/s that changes by (RMS).
-fn estimate_delay(cycles: &[(&ServoCycle, f64)]) -> Option<(f64, f64)> {
+fn estimate_delay_and_rate(cycles: &[(&ServoCycle, f64)]) -> Option<(f64, f64)> {
     const MAX_DELAY_CYCLES: usize = 100;
     let left = |delay: usize| {
         let mut moments = (0.0, 0.0, 0.0);
@@ -179,10 +179,10 @@ pub(super) fn compute_lag_statistics(
     const MIN_OFFSET_RATE_UM_PER_S: f64 = 10.0;
     let requested_um = requested_um.iter().map(|um| um[LAG_AXIS_INDEX]);
     let both: Vec<(&ServoCycle, f64)> = cycles.iter().copied().zip(requested_um).collect();
-    let (mean_ms, _) = estimate_delay(&both).context("the diagonal is too short")?;
+    let (mean_ms, _) = estimate_delay_and_rate(&both).context("the diagonal is too short")?;
     let worst_ms = both
         .chunks(LAG_WINDOW_CYCLES)
-        .filter_map(estimate_delay)
+        .filter_map(estimate_delay_and_rate)
         .filter(|(_, speed)| *speed > MIN_OFFSET_RATE_UM_PER_S)
         .map(|(ms, _)| ms)
         .fold(mean_ms, f64::max);

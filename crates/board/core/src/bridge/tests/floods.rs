@@ -72,7 +72,10 @@ fn of_an_axis_that_moves_again_the_next_tick_computes_the_errors() {
         rig.control(ENGAGED);
         rig.tick(None);
         let (heat, place) = (&rig.state.heat, &rig.state.place);
-        assert_eq!(*rig.state.errors.errors(), rig.bridge.calibration.axis_errors(heat, place));
+        assert_eq!(
+            *rig.state.errors.errors(),
+            rig.bridge.calibration.compute_axis_errors(heat, place)
+        );
     }
 }
 

@@ -76,7 +76,7 @@ fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
     let memory = without.bridge.retained_lags(&without.state);
     let mut with = Rig::new(lagging());
     with.bridge.restore_lags(&mut with.state, &memory, 0);
-    assert!(!with.state.is_heat_unknown());
+    assert!(!with.state.is_thermal_state_unknown());
     for seconds in [1, 10, 30] {
         let (a, b) = (
             x_nm(&live(&mut without, seconds * 1_000, 21, 20)),
@@ -95,7 +95,7 @@ fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() 
         // The screw stays at 21 °C, and the machine is seen again at once.
         let mut with = Rig::new(lagging());
         with.bridge.restore_lags(&mut with.state, &memory, off_s * 10);
-        assert!(!with.state.is_heat_unknown());
+        assert!(!with.state.is_thermal_state_unknown());
         // A cut before any thermometer is received: what was missed stays missed.
         let memory = with.bridge.retained_lags(&with.state);
         let mut again = Rig::new(lagging());
@@ -128,10 +128,10 @@ fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_n
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (OffsetQuality::Fault, None));
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
     // 400 µm are 1 µm after nine half-lives of 27.7 s: 250 s.
     live(&mut rig, 247_000, 21, 20);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
     let output = live(&mut rig, 4_000, 21, 20);
     assert_eq!((output.quality, x_nm(&output)), (OffsetQuality::Live, -100_000));
 }
@@ -146,7 +146,7 @@ fn a_machine_whose_thermometers_agree_is_cold_and_so_is_one_that_the_operator_ca
     let mut rig = Rig::new(lagging());
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 1_000, 21, 20);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
     rig.bridge.confirm_cold(&mut rig.state);
     assert_eq!(live(&mut rig, 1_000, 21, 20).quality, OffsetQuality::Live);
 }
@@ -158,12 +158,12 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
     let mut rig = Rig::new(machine);
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 2_000, 21, 21);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
 
     let mut rig = Rig::new(lagging());
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     warm(&mut rig, 2_000, Some(21), 1_000);
-    assert!(rig.state.is_heat_unknown(), "channel 5 says nothing");
+    assert!(rig.state.is_thermal_state_unknown(), "channel 5 says nothing");
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn a_machine_without_a_law_that_remembers_needs_no_heat() {
     for machine in [expanding(), calibration()] {
         let mut rig = Rig::new(machine);
         rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
-        assert!(!rig.state.is_heat_unknown());
+        assert!(!rig.state.is_thermal_state_unknown());
     }
 }
 
@@ -190,7 +190,7 @@ fn heat_is_known_again_by_channel_and_time_constant_alone() {
         }
         let mut rig = Rig::new(other);
         rig.bridge.restore_lags(&mut rig.state, &memory, 0);
-        assert_eq!(!rig.state.is_heat_unknown(), is_known, "{change}");
+        assert_eq!(!rig.state.is_thermal_state_unknown(), is_known, "{change}");
     }
 }
 
@@ -265,7 +265,7 @@ fn a_fall_back_that_remembers_is_dead_as_long_as_its_heat_is_not_known() {
         let mut rig = Rig::new(machine);
         rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
         hold(&mut rig, 1_300, 1_050, Some(22));
-        assert!(rig.state.is_heat_unknown() && rig.bridge.has_fallback_failed(&rig.state));
+        assert!(rig.state.is_thermal_state_unknown() && rig.bridge.has_fallback_failed(&rig.state));
         rig.bridge.confirm_cold(&mut rig.state);
         hold(&mut rig, 500, 1_050, Some(22));
         assert!(!rig.bridge.has_fallback_failed(&rig.state), "called cold");
@@ -308,7 +308,7 @@ fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
         assert_eq!(memory.lags.iter().any(Option::is_some), is_retained);
         let mut rig = Rig::new(machine);
         rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
-        assert_eq!(rig.state.is_heat_unknown(), is_retained);
+        assert_eq!(rig.state.is_thermal_state_unknown(), is_retained);
     }
 }
 
@@ -366,18 +366,18 @@ fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
     for (steps, share) in [(0, warm), (400, warm * (-1.0_f64).exp())] {
         let mut rig = Rig::new(machine);
         rig.bridge.restore_lags(&mut rig.state, &memory, steps);
-        assert!(!rig.state.is_heat_unknown());
+        assert!(!rig.state.is_thermal_state_unknown());
         near(&run(&mut rig, 0, 200), share);
     }
     // Nor is it followed once nobody says how fast the spindle turns.
     assert_ne!(live(&mut rig, 2_000, 21, 21).quality, OffsetQuality::Live);
     let mut rig = Rig::new(machine);
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
     // Another power is another heat.
     let term = machine.terms[0].as_mut().expect("it has one");
     term.effect = Effect::SpeedHeat { power: SpeedExponent::First, smoothing, per_unit };
     let mut rig = Rig::new(machine);
     rig.bridge.restore_lags(&mut rig.state, &memory, 0);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
 }

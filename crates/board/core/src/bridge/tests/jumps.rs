@@ -58,7 +58,7 @@ fn is_believed(rapid: u32, way: i32, after_ms: u32) -> bool {
 
 #[test]
 fn the_figures_are_those_of_the_manual() {
-    assert_eq!((POSITION_JITTER_MS, JUMP_REPORT_DURATION_MS), (20, 100));
+    assert_eq!((MAX_POSITION_JITTER_MS, JUMP_REPORT_DURATION_MS), (20, 100));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    learned::{LearnedChangeRequest, LearnedLimits},
+    learned_changes::{LearnedChangeRequest, LearnedLimits},
     retained_lags::RetainedLags,
 };
 
@@ -112,8 +112,11 @@ fn a_machine_that_is_called_cold_keeps_what_was_learned() {
     rig.bridge.restore_lags(&mut rig.state, &RetainedLags::default(), 0);
     apply_change(&mut rig, 2, 5);
     warm(&mut rig, 1_000, Some(21), 1_000);
-    assert!(rig.state.is_heat_unknown() && rig.state.learned_changes().current_amounts()[1] == 5);
+    assert!(
+        rig.state.is_thermal_state_unknown()
+            && rig.state.learned_changes().current_amounts()[1] == 5
+    );
     rig.bridge.confirm_cold(&mut rig.state);
-    assert!(!rig.state.is_heat_unknown());
+    assert!(!rig.state.is_thermal_state_unknown());
     assert_eq!(rig.state.learned_changes().current_amounts(), [0, 5, 0, 0, 0]);
 }

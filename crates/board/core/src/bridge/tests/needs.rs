@@ -132,7 +132,7 @@ fn heat_that_only_a_fall_back_needs_is_no_fault_while_the_sensor_is_there() {
     let memory = crate::retained_lags::RetainedLags::default();
     rig.bridge.restore_lags(&mut rig.state, &memory, 0);
     let output = rig.run(1_000, 1_050);
-    assert!(rig.state.is_heat_unknown());
+    assert!(rig.state.is_thermal_state_unknown());
     assert_eq!((output.quality, output.offset), (OffsetQuality::Off, Some([Nanometres(0); 3])));
 }
 

@@ -52,10 +52,11 @@ fn each_tool_has_its_level_and_every_other_and_none_that_of_the_rest() {
 fn a_condition_is_its_own_bit_and_its_default_where_the_cnc_does_not_say() {
     for bit in 0..16 {
         let it = ConditionLevels { bit, ..on_off(CategoryFactor::One) };
-        let is_on = |bits| it.input(Some(MachineConditions { tool: 7, bits })) == UNIT_STEP;
+        let is_on = |bits| it.lag_input(Some(MachineConditions { tool: 7, bits })) == UNIT_STEP;
         assert!(is_on(1 << bit) && !is_on(!(1 << bit)), "{bit}");
         assert!(
-            it.input(None) == 0 && ConditionLevels { default: true, ..it }.input(None) == UNIT_STEP
+            it.lag_input(None) == 0
+                && ConditionLevels { default: true, ..it }.lag_input(None) == UNIT_STEP
         );
     }
 }

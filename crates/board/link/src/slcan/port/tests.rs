@@ -197,7 +197,7 @@ fn answers_that_find_no_room_are_dropped_whole_and_counted() {
         port.receive(b'V');
         port.receive(CR);
     }
-    let fitting = TX_CAPACITY / VERSION_REPLY.len();
+    let fitting = TX_CAPACITY_BYTES / VERSION_REPLY.len();
     assert_eq!(drain(&mut port), VERSION_REPLY.repeat(fitting));
     assert_eq!(port.counters().dropped, 100 - u32::try_from(fitting).unwrap());
 }
@@ -262,7 +262,7 @@ fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
 
 #[test]
 fn frames_may_take_all_but_the_room_for_answers_to_the_last_byte() {
-    let all_but_answers = TX_CAPACITY - REPLY_RESERVE_BYTES;
+    let all_but_answers = TX_CAPACITY_BYTES - REPLY_RESERVE_BYTES;
     let mut frames = vec![frame(8); 9];
     frames.extend([frame(7), frame(0)]);
     let bytes: usize = frames.iter().map(frame_line_length).sum();
@@ -291,8 +291,8 @@ fn the_serial_number_is_reported_in_four_digits_the_highest_first() {
 #[test]
 fn an_answer_may_take_the_last_byte_of_the_room() {
     let mut port = opened();
-    for byte in b"\r".repeat(TX_CAPACITY + 1) {
+    for byte in b"\r".repeat(TX_CAPACITY_BYTES + 1) {
         port.receive(byte);
     }
-    assert_eq!((port.counters().dropped, drain(&mut port).len()), (1, TX_CAPACITY));
+    assert_eq!((port.counters().dropped, drain(&mut port).len()), (1, TX_CAPACITY_BYTES));
 }

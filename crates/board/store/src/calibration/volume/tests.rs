@@ -23,7 +23,7 @@ fn with_volume<T>(mut calibration: Calibration<'_>, check: impl FnOnce(Calibrati
     guides[0].about[1] = AngularErrorCurve { slope, curve: Curve::default() };
     guides[2].about[2] = AngularErrorCurve { slope: Gradient::ZERO, curve };
     let order = [LinearAxis::Y, LinearAxis::X, LinearAxis::Z];
-    let line = RotaryLocation {
+    let line = RotaryAxisLocation {
         axis: RotaryAxis::C,
         moves_workpiece: true,
         point: [5, -6, MAX_LEVER_ARM].map(Position),

@@ -8,7 +8,7 @@ use trueup_core::sensor_health::{HIGH_RAIL, LOW_RAIL};
 use super::{ImplausibleValue, Plausibility};
 use crate::{
     check::warning::Warning,
-    inputs::{CountScale, LinearInput, TemperatureKind},
+    inputs::{CountScale, LinearInput, TemperatureInputKind},
     machine_file::Machine,
 };
 
@@ -24,7 +24,7 @@ pub(super) fn findings(machine: &Machine) -> Vec<ImplausibleValue> {
     let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
     let mut found = Vec::new();
     for (name, input) in inputs {
-        let TemperatureKind::Linear(line) = input.kind else { continue };
+        let TemperatureInputKind::Linear(line) = input.kind else { continue };
         let key = format!("inputs.{name}");
         let reach = line.temperature_range_c();
         let part_k = reach.map_or(0.0, |[low, high]| {
@@ -32,12 +32,12 @@ pub(super) fn findings(machine: &Machine) -> Vec<ImplausibleValue> {
         });
         let what = if part_k < MIN_COVERED_RANGE_K {
             let [low, high] = WORKSHOP_RANGE_C;
-            format!("{}, and a machine has {low} to {high} °C", range_text(&line))
+            format!("{}, and a machine has {low} to {high} °C", describe_range(&line))
         } else if let Some((law, reference_c)) = reference_temperatures_c(machine, name)
             .into_iter()
             .find(|(_, c)| reach.is_some_and(|[low, high]| !(low..=high).contains(c)))
         {
-            format!("{}, and {law} is {reference_c} °C", range_text(&line))
+            format!("{}, and {law} is {reference_c} °C", describe_range(&line))
         } else {
             continue;
         };
@@ -48,7 +48,7 @@ pub(super) fn findings(machine: &Machine) -> Vec<ImplausibleValue> {
 }
 
 /// Returns the temperatures of the input, and where they end.
-fn range_text(line: &LinearInput) -> String {
+fn describe_range(line: &LinearInput) -> String {
     let [low, high] = [LOW_RAIL.0 + 1, HIGH_RAIL.0 - 1];
     let last = line.scale.max_count() * line.scale.codes_per_count();
     let ends = [f64::from(low), last.min(f64::from(high))].map(|code| line.celsius_from_code(code));

@@ -49,7 +49,7 @@ impl KeyScope {
     pub(super) fn key_range(self, key: &Key) -> Option<PlausibleRange> {
         let nearest = match self {
             Self::Section(_, of_section) => key.range.or(of_section),
-            Self::Term(cause) => cause.own_range(key.name).or(key.range),
+            Self::Term(cause) => cause.range_override(key.name).or(key.range),
         };
         nearest.or_else(|| default_range_for_unit(key.unit))
     }
@@ -84,7 +84,7 @@ fn matches_name_pattern(pattern: &str, name: &str) -> bool {
 }
 
 /// Returns the numbers of `machine`, those that came by default included.
-pub(super) fn numeric_entries(machine: &Machine) -> Vec<NumericEntry> {
+pub(super) fn collect_numeric_entries(machine: &Machine) -> Vec<NumericEntry> {
     let mut entries = Vec::new();
     for section in machine.sections() {
         let name = section.name().to_string();

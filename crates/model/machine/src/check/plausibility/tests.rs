@@ -18,7 +18,7 @@ const HEAT: &str =
 fn findings(text: &str) -> Vec<(String, Plausibility, String)> {
     let text = format!("{HEAD}{text}");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
-    let found = machine_findings(&machine).into_iter();
+    let found = find_implausible_values(&machine).into_iter();
     let text = |warning: Warning| format!("{}; help: {}", warning.what, warning.help);
     found.map(|finding| (finding.key, finding.grade, text(finding.warning))).collect()
 }
@@ -179,7 +179,7 @@ fn a_doubted_value_is_reported_in_the_unit_of_its_key() {
 fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
     let text = format!("{HEAD}{HEAT}slope_um_per_m_per_c = 11500.0\n");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
-    let found = machine_findings(&machine);
+    let found = find_implausible_values(&machine);
     let bad = combine_rejected_findings(&found, &[]).expect("refused");
     assert_eq!((bad.place.line, bad.place.column), (8, 24), "{bad}");
     assert!(

@@ -10,11 +10,12 @@ use trueup_core::{
 };
 
 use super::{
-    CompileResult, MAX_CHECKED_ELONGATION_UM, MAX_CHECKED_SPEED_RPM, OwnedEffect, scale_coefficient,
+    CompileResult, MAX_CHECKED_ELONGATION_UM, MAX_CHECKED_SPEED_RPM, OwnedEffect,
+    compile_coefficient,
 };
 use crate::{
     compile::{
-        inputs::{condition_column, condition_input_line},
+        inputs::{condition_column_name, condition_input_line},
         lag,
     },
     effect::{BoardTerm, DependenceForm, Effect, Multiplier, Quantity},
@@ -48,7 +49,7 @@ impl OwnedToolTable {
 }
 
 /// Returns the factor on the board, how many of the board's units are one of the user's, and up to what it is checked.
-fn compile_factor(times: &Multiplier) -> Result<(CategoryFactor, f64, f64), String> {
+fn compile_multiplier(times: &Multiplier) -> Result<(CategoryFactor, f64, f64), String> {
     Ok(match times {
         Multiplier::One => (CategoryFactor::One, FINE_UNITS_PER_UM, 1.0),
         Multiplier::Speed2 => (
@@ -73,7 +74,7 @@ fn compile_factor(times: &Multiplier) -> Result<(CategoryFactor, f64, f64), Stri
 fn compile_levels(values: &[f64], unit: f64, largest: f64) -> CompileResult<(Vec<i32>, u8)> {
     let exact: Vec<f64> = values.iter().map(|value| value * unit).collect();
     let most = exact.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    let (stored, _) = scale_coefficient(most, 0.0)?;
+    let (stored, _) = compile_coefficient(most, 0.0)?;
     let power = 2_f64.powi(stored.shift.into());
     let mantissas: Option<Vec<i32>> =
         exact.iter().map(|coefficient| round_to_i32((coefficient * power).round())).collect();
@@ -91,7 +92,7 @@ pub(super) fn compile_tool_table(
     other: f64,
     times: &Multiplier,
 ) -> CompileResult<OwnedEffect> {
-    let (times, unit, largest) = compile_factor(times)?;
+    let (times, unit, largest) = compile_multiplier(times)?;
     let mut sorted = tools.to_vec();
     sorted.sort_by_key(|(number, _)| *number);
     let values: Vec<f64> = sorted.iter().map(|(_, a)| *a).chain([other]).collect();
@@ -120,7 +121,7 @@ pub(super) fn compile_condition(
             condition_input_line(inputs, column)
         )
     })?;
-    let (times, unit, largest) = compile_factor(times)?;
+    let (times, unit, largest) = compile_multiplier(times)?;
     let ((stored, shift), nm) = compile_levels(&[off, on], unit, largest)?;
     let [off, on] = [stored[0], stored[1]];
     let smoothing = lag::smoothing_factor(lag_s)?;
@@ -159,7 +160,7 @@ fn decompile_levels(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
     let of = |m: &i32| {
         let is_same = |value: f64| {
             let shares_point = m.unsigned_abs() < most
-                || scale_coefficient(value.abs() * unit, 0.0)
+                || compile_coefficient(value.abs() * unit, 0.0)
                     .is_ok_and(|(coefficient, _)| coefficient.shift == shift);
             round_to_i32((value * unit * power).round()) == Some(*m) && shares_point
         };
@@ -168,32 +169,32 @@ fn decompile_levels(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
     stored.iter().map(of).collect()
 }
 
-fn decompile_factor(factor: CategoryFactor) -> (Multiplier, f64) {
+fn decompile_multiplier(factor: CategoryFactor) -> (Multiplier, f64) {
     let times = match factor {
         CategoryFactor::One => Multiplier::One,
         CategoryFactor::Speed2 => Multiplier::Speed2,
         CategoryFactor::Growth => Multiplier::Growth,
         CategoryFactor::Position => Multiplier::Position,
     };
-    let unit = self::compile_factor(&times).map_or(1.0, |(_, unit, _)| unit);
+    let unit = self::compile_multiplier(&times).map_or(1.0, |(_, unit, _)| unit);
     (times, unit)
 }
 
 pub(super) fn decompile_tool_table(table: &ToolTable<'_>) -> BoardTerm {
-    let (times, unit) = decompile_factor(table.times);
-    let stored: Vec<i32> = table.tools().map(|(_, m)| m).chain([table.other]).collect();
+    let (times, unit) = decompile_multiplier(table.times);
+    let stored: Vec<i32> = table.tool_levels().map(|(_, m)| m).chain([table.other]).collect();
     let mut values = decompile_levels(&stored, table.shift, unit);
     let other = values.pop().unwrap_or_default();
     let number = |number: u32| u16::try_from(number).expect("a blob with another one is refused");
-    let tools = table.tools().map(|(tool, _)| number(tool)).zip(values).collect();
+    let tools = table.tool_levels().map(|(tool, _)| number(tool)).zip(values).collect();
     BoardTerm::Tool { tools, other, times }
 }
 
 pub(super) fn decompile_condition_levels(it: &ConditionLevels) -> BoardTerm {
-    let (times, unit) = decompile_factor(it.times);
+    let (times, unit) = decompile_multiplier(it.times);
     let values = decompile_levels(&[it.off, it.on], it.shift, unit);
     BoardTerm::Condition {
-        column: condition_column(it.bit),
+        column: condition_column_name(it.bit),
         off: values[0],
         on: values[1],
         lag_s: lag::decompile_time_constant_s(it.smoothing),
@@ -202,7 +203,7 @@ pub(super) fn decompile_condition_levels(it: &ConditionLevels) -> BoardTerm {
 }
 
 /// Returns the list of `[spindle.tools]` that a term is, if it is one.
-pub(in crate::compile) fn tools_from_term(term: &Term) -> Option<ToolGrowthList> {
+pub(in crate::compile) fn tool_growths_from_term(term: &Term) -> Option<ToolGrowthList> {
     let Effect::Dependence(it) = &term.effect else { return None };
     let DependenceForm::Level { levels, added, otherwise } = &it.form else { return None };
     let is_list = it.column == TOOL_COLUMN

@@ -13,10 +13,12 @@ use trueup_core::{
 
 use super::{
     HEAT_SLOPE_REFERENCE_M, LOAD_UNITS_PER_NEWTON, ONE_Q24, REFERENCE_LEVER_M, category,
-    scale_coefficient,
+    compile_coefficient,
 };
 use crate::{
-    compile::{curve, inputs::temperature_column, lag, pitch, squareness::linear_axis_from_board},
+    compile::{
+        curve, inputs::temperature_column_name, lag, pitch, squareness::linear_axis_from_board,
+    },
     effect::{
         self, BoardTerm, CoolingAsymmetry, Quantity, SpeedHeatResponse, TemperatureResponse,
         relative_heat_input,
@@ -80,7 +82,7 @@ fn decompile_term(term: &Term<'_>) -> Option<machine_file::Term> {
         Effect::Heat { channel, smoothing, reference, per_temperature } => {
             let per_unit = FINE_UNITS_PER_UM / TEMPERATURE_UNITS_PER_KELVIN;
             BoardTerm::Heat(TemperatureResponse {
-                column: temperature_column(*channel),
+                column: temperature_column_name(*channel),
                 um_per_c: decompile_coefficient(*per_temperature, per_unit),
                 time_constant_s: lag::decompile_time_constant_s(*smoothing),
                 reference_c: to_user_value(reference.0, TEMPERATURE_UNITS_PER_KELVIN),
@@ -90,7 +92,7 @@ fn decompile_term(term: &Term<'_>) -> Option<machine_file::Term> {
             let per_unit =
                 HEAT_SLOPE_REFERENCE_M * FINE_UNITS_PER_UM / TEMPERATURE_UNITS_PER_KELVIN;
             BoardTerm::HeatSlope(TemperatureResponse {
-                column: temperature_column(*channel),
+                column: temperature_column_name(*channel),
                 um_per_c: decompile_coefficient(*per_temperature, per_unit),
                 time_constant_s: lag::decompile_time_constant_s(*smoothing),
                 reference_c: to_user_value(reference.0, TEMPERATURE_UNITS_PER_KELVIN),
@@ -185,7 +187,7 @@ fn coefficient_value(coefficient: ScaledCoefficient) -> f64 {
 
 /// Returns whether `number` is stored as this coefficient.
 fn is_stored_as(number: f64, coefficient: ScaledCoefficient) -> bool {
-    scale_coefficient(number, 0.0).is_ok_and(|(stored, _)| stored == coefficient)
+    compile_coefficient(number, 0.0).is_ok_and(|(stored, _)| stored == coefficient)
 }
 
 /// Returns what a user writes for a coefficient of which `per_unit` are one of the user's unit.

@@ -17,7 +17,7 @@ pub(super) const SWITCH_LEVELS: [f64; 2] = [0.0, 1.0];
 
 /// Where a column is 0: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
 /// hardly varies, the other factor alone would be taken for a dependence on both.
-pub(super) fn reference_value(values: &[f64]) -> f64 {
+pub(super) fn choose_reference_value(values: &[f64]) -> f64 {
     let finite = || values.iter().copied().filter(|value| value.is_finite());
     let (low, high) = finite().fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
         (low.min(value.abs()), high.max(value.abs()))
@@ -63,7 +63,7 @@ pub(super) fn find_frequent_tools(values: &[f64]) -> Option<Vec<f64>> {
 }
 
 /// Values from which a line may begin: inside, at equal shares of the sorted rows, no two alike.
-pub(super) fn hinge_candidates(values: &[f64]) -> Vec<f64> {
+pub(super) fn hinge_start_values(values: &[f64]) -> Vec<f64> {
     distinct_quantiles(values, 1..=HINGE_START_COUNT, HINGE_START_COUNT + 1)
 }
 

@@ -3,7 +3,7 @@
 use crate::{
     effect::{
         board_term::Multiplier,
-        cause_spec::Input,
+        cause_spec::LawInput,
         data_view::{DataView, StartValues, peak_to_peak},
     },
     keys::{
@@ -42,17 +42,17 @@ impl Multiplier {
     }
 
     /// Returns what is read of a run for it.
-    pub(super) fn input(&self) -> Option<Input<'_>> {
+    pub(super) fn input(&self) -> Option<LawInput<'_>> {
         match self {
             Self::One => None,
-            Self::Speed2 => Some(Input::Speed),
-            Self::Growth => Some(Input::Law),
-            Self::Position => Some(Input::OwnPosition),
-            Self::Column { column, .. } if column == LOAD_COLUMN => Some(Input::Load),
+            Self::Speed2 => Some(LawInput::Speed),
+            Self::Growth => Some(LawInput::Law),
+            Self::Position => Some(LawInput::OwnPosition),
+            Self::Column { column, .. } if column == LOAD_COLUMN => Some(LawInput::Load),
             Self::Column { column, .. } if is_temperature_column(column) => {
-                Some(Input::Temperature { column, lag_s: 0.0 })
+                Some(LawInput::Temperature { column, lag_s: 0.0 })
             }
-            Self::Column { column, .. } => Some(Input::Column(column)),
+            Self::Column { column, .. } => Some(LawInput::Column(column)),
         }
     }
 

@@ -3,8 +3,8 @@
 use super::{
     Dependence, DependenceForm,
     column_values::{
-        CURVE_KNOT_COUNTS, SWITCH_LEVELS, choose_knots, find_frequent_tools, find_levels,
-        hinge_candidates, reference_value,
+        CURVE_KNOT_COUNTS, SWITCH_LEVELS, choose_knots, choose_reference_value,
+        find_frequent_tools, find_levels, hinge_start_values,
     },
     multiplier::{LOAD_COLUMN, SPEED_COLUMN},
 };
@@ -52,7 +52,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
             (levels.is_some() && *n != number || *n > number) && is_amount
         });
         let second = known.iter().chain(later.map(|(_, later)| later)).map(|(name, values)| {
-            let reference = reference_value(values);
+            let reference = choose_reference_value(values);
             Multiplier::Column { column: (*name).into(), reference, range: [reference; 2] }
         });
         for mut times in times.iter().cloned().chain(second) {
@@ -84,22 +84,22 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
                 if is_switch && is_alone {
                     with(of(1.0, form.clone(), &times), late());
                 }
-                with(of(0.0, form, &times), StartValues::empty());
+                with(of(0.0, form, &times), StartValues::linear_only());
                 continue;
             }
             // The number of a tool is no amount.
             if column == TOOL_COLUMN {
                 continue;
             }
-            let reference = reference_value(values);
+            let reference = choose_reference_value(values);
             with(
                 of(0.0, DependenceForm::Line { slope: 0.0, reference }, &times),
-                StartValues::empty(),
+                StartValues::linear_only(),
             );
             if is_alone {
                 with(of(1.0, DependenceForm::Line { slope: 0.0, reference }, &times), late());
                 for curve in curve_forms(values) {
-                    with(of(0.0, curve, &times), StartValues::empty());
+                    with(of(0.0, curve, &times), StartValues::linear_only());
                 }
             }
             if let Some((hinge, hinge_candidates)) = hinge_form(values).filter(|_| !is_second) {
@@ -118,7 +118,10 @@ fn propose_speed_dependences(survey: &dyn DataView, with: &mut dyn FnMut(Depende
         with(Dependence { form, ..Dependence::from_column(SPEED_COLUMN) }, hinge_candidates);
     }
     for form in curve_forms(values) {
-        with(Dependence { form, ..Dependence::from_column(SPEED_COLUMN) }, StartValues::empty());
+        with(
+            Dependence { form, ..Dependence::from_column(SPEED_COLUMN) },
+            StartValues::linear_only(),
+        );
     }
 }
 
@@ -149,14 +152,14 @@ fn propose_temperature_dependences(
                 Dependence { lag_s: 1.0, ..at_once.clone() },
                 survey.time_constant_start_values(TIME_CONSTANT_GRID_POINTS),
             );
-            with(at_once, StartValues::empty());
+            with(at_once, StartValues::linear_only());
         }
     }
 }
 
 /// Returns a line from a value on, with values to begin from.
 fn hinge_form(values: &[f64]) -> Option<(DependenceForm, StartValues)> {
-    let hinge_candidates = hinge_candidates(values);
+    let hinge_candidates = hinge_start_values(values);
     let [low, .., high] = hinge_candidates[..] else { return None };
     Some((
         DependenceForm::Hinge { slope: 0.0, from: low, range: [low, high] },

@@ -49,7 +49,7 @@ fn a_product_counts_from_the_zero_of_the_second_column() {
     let product = page(DependenceForm::Line { slope: 0.02, reference: 0.0 }, flow);
     assert!((added(&product, &[30.0, 7.0]) - 1.2).abs() < 1e-12);
     assert!(added(&product, &[30.0, f64::NAN]).is_nan());
-    assert_eq!(product.inputs(&[]), [Input::Column("coolant_bar"), Input::Column("flow_l")]);
+    assert_eq!(product.inputs(&[]), [LawInput::Column("coolant_bar"), LawInput::Column("flow_l")]);
     // Open: −3 µm/K × 2 K. Closed: nothing.
     let room =
         Multiplier::Column { column: "temp_room_c".into(), reference: 20.0, range: [20.0; 2] };
@@ -58,7 +58,7 @@ fn a_product_counts_from_the_zero_of_the_second_column() {
     let by_door = page(open, room);
     assert_eq!([added(&by_door, &[0.0, 22.0]), added(&by_door, &[1.0, 22.0])], [0.0, -6.0]);
     let inputs = by_door.inputs(&[]);
-    assert_eq!(inputs[1], Input::Temperature { column: "temp_room_c", lag_s: 0.0 });
+    assert_eq!(inputs[1], LawInput::Temperature { column: "temp_room_c", lag_s: 0.0 });
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::{ScalarCause, ScalarCauseDefinition, define_scalar_cause};
 use crate::{
     effect::{
         cause_spec::{
-            BoardTerm, FileRepresentation, Input, NonlinearParameter, PredictionStage, Target,
+            BoardTerm, FileRepresentation, LawInput, NonlinearParameter, PredictionStage, Target,
         },
         data_view::{DataView, StartValues},
         drift::Drift,
@@ -22,7 +22,7 @@ const AXIS_CAUSE_DEFAULTS: ScalarCause =
 fn propose_backlash(survey: &dyn DataView) -> Option<(f64, StartValues)> {
     let has_backlash =
         survey.has_own_axis_moved() && survey.is_bidirectional() && survey.has_screw_feedback();
-    has_backlash.then(|| (0.0, StartValues::empty()))
+    has_backlash.then(|| (0.0, StartValues::linear_only()))
 }
 
 define_scalar_cause! {
@@ -36,7 +36,7 @@ define_scalar_cause! {
 impl ScalarCauseDefinition for PitchScale {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "pitch-scale",
-        inputs: &[Input::OwnPosition],
+        inputs: &[LawInput::OwnPosition],
         law: Some(|_, x| x[0] / 1000.0),
         on_board: |um_per_m| match um_per_m {
             // The constant alone.
@@ -52,7 +52,7 @@ impl ScalarCauseDefinition for PitchScale {
             BoardTerm::OwnPosition(um_per_m) => Some(*um_per_m),
             _ => None,
         },
-        propose: |survey| survey.has_own_axis_moved().then(|| (0.0, StartValues::empty())),
+        propose: |survey| survey.has_own_axis_moved().then(|| (0.0, StartValues::linear_only())),
         sentence: |um| format!("The scale or the screw is off by {um:+.2} µm for each metre."),
         next_test: "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch.",
         repair: Some(
@@ -88,7 +88,7 @@ define_scalar_cause! {
 impl ScalarCauseDefinition for Backlash {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "backlash",
-        inputs: &[Input::OwnDirection],
+        inputs: &[LawInput::OwnDirection],
         law: Some(|_, x| if is_negative_direction(x[0]) { 1.0 } else { 0.0 }),
         on_board: |width_um| vec![BoardTerm::Reversed { width_um, um_per_m: 0.0 }],
         from_board: |_, form, _| match *form {
@@ -115,7 +115,7 @@ define_scalar_cause! {
 impl ScalarCauseDefinition for PositionDependentBacklash {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "position-dependent-backlash",
-        inputs: &[Input::OwnPosition, Input::OwnDirection],
+        inputs: &[LawInput::OwnPosition, LawInput::OwnDirection],
         law: Some(|_, x| if is_negative_direction(x[1]) { x[0] / 1000.0 } else { 0.0 }),
         on_board: |um_per_m| vec![BoardTerm::Reversed { width_um: 0.0, um_per_m }],
         from_board: |_, form, _| match *form {
@@ -147,7 +147,7 @@ impl ScalarCauseDefinition for TimeShift {
         stage: PredictionStage::Shift,
         tier: 2,
         is_compensable: false,
-        inputs: &[Input::Time],
+        inputs: &[LawInput::Time],
         nonlinear: &[NonlinearParameter::Shift],
         propose: |survey| {
             (survey.predicted_peak_to_peak_um() > 0.0)

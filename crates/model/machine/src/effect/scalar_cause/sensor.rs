@@ -3,7 +3,7 @@
 use super::{NeutralValue, ScalarCause, ScalarCauseDefinition, define_scalar_cause};
 use crate::{
     effect::{
-        cause_spec::{BoardTerm, Input, NonlinearParameter, PredictionStage, Target},
+        cause_spec::{BoardTerm, LawInput, NonlinearParameter, PredictionStage, Target},
         data_view::{DataView, StartValues, peak_to_peak},
     },
     sections::ElongationSource,
@@ -16,7 +16,7 @@ const ELONGATION_CAUSE_DEFAULTS: ScalarCause =
     ScalarCause { target: Target::Elongation, ..ScalarCause::DEFAULT };
 
 /// Returns whether the sensor shows a growth.
-fn has_sensor_growth(survey: &dyn DataView) -> bool {
+fn has_sensor_elongation(survey: &dyn DataView) -> bool {
     survey.elongation_source() == Some(ElongationSource::Sensor)
         && peak_to_peak(survey.source_elongation_um()) > 0.0
 }
@@ -40,7 +40,7 @@ impl ScalarCauseDefinition for SensorOffset {
         },
         propose: |survey| {
             let is_free = survey.quantity().axis().is_none() && !survey.has_constant();
-            is_free.then(|| (0.0, StartValues::empty()))
+            is_free.then(|| (0.0, StartValues::linear_only()))
         },
         sentence: |um| format!("The zero of the sensor is off by {um:+.2} µm."),
         next_test: GAUGE_BLOCK_TEST,
@@ -61,16 +61,16 @@ impl ScalarCauseDefinition for SensorGain {
         name: "sensor-gain",
         stage: PredictionStage::Factor,
         neutral: NeutralValue::At(1.0),
-        inputs: &[Input::Predicted],
+        inputs: &[LawInput::Predicted],
         // A gain that turns the sign, or is off by more than a factor of five, is another machine's.
-        amplitude_limits: Some([-0.8, 4.0]),
+        amplitude_bounds: Some([-0.8, 4.0]),
         law: Some(|_, x| x[0]),
         on_board: |gain| vec![BoardTerm::Gain(gain)],
         from_board: |_, form, _| match *form {
             BoardTerm::Gain(gain) => Some(gain),
             _ => None,
         },
-        propose: |survey| has_sensor_growth(survey).then(|| (1.0, StartValues::empty())),
+        propose: |survey| has_sensor_elongation(survey).then(|| (1.0, StartValues::linear_only())),
         sentence: |more| {
             let gain = 1.0 + more;
             format!("The tool moves {gain:.4} µm for each micrometre that the sensor shows.")
@@ -92,14 +92,14 @@ impl ScalarCauseDefinition for SensorCurvature {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "sensor-curvature",
         stage: PredictionStage::Bend,
-        inputs: &[Input::Predicted],
+        inputs: &[LawInput::Predicted],
         law: Some(|_, x| x[0] * x[0]),
         on_board: |per_um| vec![BoardTerm::Curvature(per_um)],
         from_board: |_, form, _| match *form {
             BoardTerm::Curvature(per_um) => Some(per_um),
             _ => None,
         },
-        propose: |survey| has_sensor_growth(survey).then(|| (0.0, StartValues::empty())),
+        propose: |survey| has_sensor_elongation(survey).then(|| (0.0, StartValues::linear_only())),
         sentence: |per_um| {
             let um = per_um * 2500.0;
             format!("The sensor's characteristic is bent: at 50 µm it is off by {um:+.2} µm.")
@@ -121,7 +121,7 @@ impl ScalarCauseDefinition for SensorSaturation {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "sensor-saturation",
         stage: PredictionStage::Limit,
-        inputs: &[Input::Predicted],
+        inputs: &[LawInput::Predicted],
         nonlinear: &[NonlinearParameter::Limit],
         // A missing p is not above the limit, and stays missing.
         law: Some(|limit_um, x| if x[0] > limit_um[0] { limit_um[0] - x[0] } else { 0.0 }),
@@ -131,10 +131,12 @@ impl ScalarCauseDefinition for SensorSaturation {
             _ => None,
         },
         propose: |survey| {
-            has_sensor_growth(survey).then(|| {
+            has_sensor_elongation(survey).then(|| {
                 (
                     0.0,
-                    StartValues::from_values(saturation_candidates(survey.source_elongation_um())),
+                    StartValues::from_values(saturation_start_values(
+                        survey.source_elongation_um(),
+                    )),
                 )
             })
         },
@@ -156,7 +158,7 @@ impl ScalarCauseDefinition for CentrifugalGrowth {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "centrifugal-growth",
         tier: 1,
-        inputs: &[Input::Speed],
+        inputs: &[LawInput::Speed],
         law: Some(|_, x| (x[0] / 1000.0).powi(2)),
         on_board: |um_per_krpm2| vec![BoardTerm::Speed(um_per_krpm2)],
         from_board: |_, form, _| match *form {
@@ -165,7 +167,7 @@ impl ScalarCauseDefinition for CentrifugalGrowth {
         },
         propose: |survey| {
             let is_there = survey.includes_elongation() && survey.is_varying("spindle_rpm");
-            is_there.then(|| (0.0, StartValues::empty()))
+            is_there.then(|| (0.0, StartValues::linear_only()))
         },
         sentence: |um| {
             format!("Speed itself stretches the spindle: {:+.3} µm at 10 000 r/min.", um * 100.0)
@@ -187,7 +189,7 @@ impl ScalarCauseDefinition for CuttingLoad {
     const DEFINITION: ScalarCause = ScalarCause {
         name: "cutting-load",
         tier: 1,
-        inputs: &[Input::Load],
+        inputs: &[LawInput::Load],
         law: Some(|_, x| -x[0]),
         on_board: |um_per_n| vec![BoardTerm::Load(-um_per_n)],
         from_board: |_, form, _| match form {
@@ -196,7 +198,7 @@ impl ScalarCauseDefinition for CuttingLoad {
         },
         propose: |survey| {
             let is_there = survey.includes_elongation() && survey.is_varying("load_n");
-            is_there.then(|| (0.0, StartValues::empty()))
+            is_there.then(|| (0.0, StartValues::linear_only()))
         },
         sentence: |um| format!("The cut pushes the tool back by {:.2} µm for 1000 N.", um * 1000.0),
         next_test: "Press on the tool with a force gauge at standstill and read the dial.",
@@ -205,7 +207,7 @@ impl ScalarCauseDefinition for CuttingLoad {
 }
 
 /// Limits to try: where a part of what is predicted is above.
-fn saturation_candidates(values: &[f64]) -> Vec<f64> {
+fn saturation_start_values(values: &[f64]) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];

@@ -4,7 +4,7 @@ use super::{NeutralValue, ScalarCause, ScalarCauseDefinition, define_scalar_caus
 use crate::{
     effect::{
         cause_spec::{
-            BoardTerm, Input, NonlinearParameter, PredictionStage, Target, format_duration,
+            BoardTerm, LawInput, NonlinearParameter, PredictionStage, Target, format_duration,
         },
         data_view::{
             FINE_TIME_CONSTANT_GRID_POINTS, StartValues, TIME_CONSTANT_GRID_POINTS, peak_to_peak,
@@ -44,10 +44,10 @@ impl ScalarCauseDefinition for GrowthAmplitude {
         target: Target::Elongation,
         stage: PredictionStage::Factor,
         neutral: NeutralValue::At(1.0),
-        inputs: &[Input::Predicted],
+        inputs: &[LawInput::Predicted],
         // A growth that is not within a factor of two of what is believed is not the same growth: another path carries
         // it.
-        amplitude_limits: Some([-0.5, 1.0]),
+        amplitude_bounds: Some([-0.5, 1.0]),
         law: Some(|_, x| x[0]),
         on_board: |scale| vec![BoardTerm::Gain(scale)],
         propose: |survey| {
@@ -55,7 +55,7 @@ impl ScalarCauseDefinition for GrowthAmplitude {
             let grows =
                 matches!(source, Some(ElongationSource::Temperature | ElongationSource::Warmup));
             (grows && peak_to_peak(survey.source_elongation_um()) > 0.0)
-                .then(|| (1.0, StartValues::empty()))
+                .then(|| (1.0, StartValues::linear_only()))
         },
         sentence: |more| format!("The growth is {:.3} times that of the model.", 1.0 + more),
         next_test: "Repeat the run at another speed and compare the factor.",
@@ -225,7 +225,7 @@ impl ScalarCauseDefinition for ExpansionConstant {
         propose: |survey| {
             let thermal = survey.active_thermal_law()?;
             (thermal.mode.has_constant_term() && thermal.table.is_none())
-                .then(|| (thermal.constant_um_per_c, StartValues::empty()))
+                .then(|| (thermal.constant_um_per_c, StartValues::linear_only()))
         },
         sentence: |um_per_c| {
             format!(
@@ -265,7 +265,7 @@ impl ScalarCauseDefinition for ExpansionSlope {
         propose: |survey| {
             let thermal = survey.active_thermal_law().filter(|_| survey.has_own_axis_moved())?;
             (thermal.mode.has_position_term() && thermal.table.is_none())
-                .then(|| (thermal.slope_um_per_m_per_c, StartValues::empty()))
+                .then(|| (thermal.slope_um_per_m_per_c, StartValues::linear_only()))
         },
         sentence: |um| format!("The axis expands by {um:+.3} µm/(m·K) more than believed."),
         next_test: "Measure the axis at both ends at two temperatures that are at least 5 K apart.",
@@ -294,7 +294,7 @@ impl ScalarCauseDefinition for ReferenceTemperature {
         },
         propose: |survey| {
             let thermal = survey.active_thermal_law().filter(|_| survey.has_own_axis_moved())?;
-            thermal.mode.has_position_term().then(|| (0.0, StartValues::empty()))
+            thermal.mode.has_position_term().then(|| (0.0, StartValues::linear_only()))
         },
         sentence: |shift_c| {
             format!(

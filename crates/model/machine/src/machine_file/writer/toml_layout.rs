@@ -11,19 +11,19 @@ const ELEMENTS_PER_LINE: usize = 8;
 /// `value` as it is written.
 pub(super) fn to_toml_value(value: &Value) -> toml_edit::Value {
     match value {
-        Value::Number(value) => format_number(*value),
+        Value::Number(value) => to_toml_number(*value),
         Value::Whole(number) => i64::from(*number).into(),
         Value::Boolean(value) => (*value).into(),
         Value::Text(text) => text.into(),
         Value::Numbers(numbers) => {
-            wrap_long_array(numbers.iter().copied().map(format_number).collect()).into()
+            wrap_long_array(numbers.iter().copied().map(to_toml_number).collect()).into()
         }
         Value::Wholes(numbers) => {
             wrap_long_array(numbers.iter().copied().map(i64::from).collect()).into()
         }
         Value::Texts(texts) => texts.iter().collect::<Array>().into(),
         Value::Rows(rows) => {
-            let row = |row: &[f64; 3]| row.iter().copied().map(format_number).collect::<Array>();
+            let row = |row: &[f64; 3]| row.iter().copied().map(to_toml_number).collect::<Array>();
             let mut array: Array = rows.iter().map(row).collect();
             if rows.len() > 1 {
                 wrap_elements(&mut array, 1);
@@ -41,7 +41,7 @@ pub(super) fn to_toml_value(value: &Value) -> toml_edit::Value {
 }
 
 /// Very small and very large numbers with an exponent.
-fn format_number(number: f64) -> toml_edit::Value {
+fn to_toml_number(number: f64) -> toml_edit::Value {
     format!("{number:?}").parse().unwrap_or_else(|_| number.into())
 }
 

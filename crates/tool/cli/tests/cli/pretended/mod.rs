@@ -250,7 +250,7 @@ pub fn live(
             Err(_) => return,
         }
         take_load(&mut node, fault, &mut stored);
-        if node.take_calibration_drop() {
+        if node.take_calibration_to_restore().is_some() {
             stored = None;
             node.finish_calibration_drop(true);
         }

@@ -17,7 +17,7 @@ use trueup_boot::{
     image_header::FirmwareVersion,
     journal::Journal,
     public_key::PublicKey,
-    refusal_reason::FirmwareRejectReason,
+    reject_reason::FirmwareRejectReason,
     start::{ClockSpeed, StartOutcome, StartSelection, select_image},
     update::{self, ImageUpdate},
 };
@@ -29,15 +29,15 @@ use trueup_node::node::{
     firmware_update::{FirmwareChunk, SlotStates, UpdateStep},
 };
 use trueup_signature::PrivateKey;
-use trueup_store::strict_flash::StrictFlash;
+use trueup_store::simulated_nor_flash::SimulatedNorFlash;
 
 use crate::{
     pretended::{paper, started},
     wire::{Tools, write_all},
 };
 
-type Records = StrictFlash<4096>;
-type SlotFlash = StrictFlash<{ SLOT_SIZE as usize }>;
+type Records = SimulatedNorFlash<4096>;
+type SlotFlash = SimulatedNorFlash<{ SLOT_SIZE as usize }>;
 
 /// Bytes of an image of these tests behind its header.
 pub const BODY: usize = 2_100;

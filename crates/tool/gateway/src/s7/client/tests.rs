@@ -75,7 +75,7 @@ fn it_reads_and_writes_however_the_network_cuts_the_answers() {
 fn what_is_asked_is_what_the_protocol_says() {
     // DB 100, from byte 64, two bytes: 512 bits on.
     let expected = [5, 1, 0x12, 0x0A, 0x10, 2, 0, 2, 0, 100, 0x84, 0, 2, 0];
-    assert_eq!(encode_item(FUNCTION_WRITE, 100, 64, 2).expect("fits"), expected);
+    assert_eq!(encode_job_parameters(FUNCTION_WRITE, 100, 64, 2).expect("fits"), expected);
 }
 
 #[test]

@@ -53,7 +53,11 @@ fn speed_ramp_instances(names: &[String]) -> [Vec<String>; 2] {
 
 impl HalWriter<'_> {
     /// Loads what takes the speed of the offsets to 0, and returns its functions in their order.
-    pub(super) fn load_speed_ramps(&mut self, text: &mut String, names: &[String]) -> Vec<String> {
+    pub(super) fn write_speed_ramp_loads(
+        &mut self,
+        text: &mut String,
+        names: &[String],
+    ) -> Vec<String> {
         let [switches, ramps] = speed_ramp_instances(names);
         self.write_loadrt(text, "mux8", &switches);
         self.write_loadrt(text, "limit2", &ramps);
@@ -61,7 +65,7 @@ impl HalWriter<'_> {
     }
 
     /// Connects it for a joint; its speed and its acceleration come to `go.in1` and `speed.maxv`.
-    pub(super) fn connect_speed_ramp(text: &mut String, name: &str, channel: usize) {
+    pub(super) fn write_speed_ramp_nets(text: &mut String, name: &str, channel: usize) {
         let _ = write!(
             text,
             "net {ALIVE_SIGNAL} => {name}-go.sel0\n\
@@ -84,7 +88,7 @@ impl HalWriter<'_> {
                  setp {name}.falling TRUE\nsetp {name}.retriggerable TRUE\n"
             );
         }
-        if let Some(link) = self.hal.final_link("motion.feed-inhibit") {
+        if let Some(link) = self.hal.find_final_link("motion.feed-inhibit") {
             self.findings.push(ConfigurationFinding::error(
                 link.place,
                 format!("motion.feed-inhibit is on the signal {} already", link.signal),

@@ -110,6 +110,6 @@ fn a_rebirth_says_everything_again_from_sequence_0_and_sequences_come_round() {
         let expected = u64::from((n + 2) % 256);
         assert_eq!(numbered(&messages)[0].1, Some(expected));
     }
-    let births = node.rebirth(NodeStatistics::default(), &[bridge(1, 5.0)], 3);
+    let births = node.build_rebirth_messages(NodeStatistics::default(), &[bridge(1, 5.0)], 3);
     assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/00000001", 1)]));
 }

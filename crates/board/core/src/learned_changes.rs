@@ -119,7 +119,7 @@ impl LearnedChanges {
     /// Returns the growth of the spindle with what was learned of it.
     ///
     /// ```
-    /// use trueup_core::{learned::{LearnedLimits, LearnedChangeRequest, LearnedChanges}, units::Nanometres};
+    /// use trueup_core::{learned_changes::{LearnedLimits, LearnedChangeRequest, LearnedChanges}, units::Nanometres};
     /// let mut learned = LearnedChanges::default();
     /// let caps = LearnedLimits { growth: 20, axes: 0, zero: 0 };
     /// // 1 % more of the growth: a thousand units, 100 s.
@@ -132,10 +132,7 @@ impl LearnedChanges {
     pub fn apply_to_growth(&self, plain: Nanometres) -> Nanometres {
         let [share, .., zero] = self.now;
         Nanometres(
-            plain
-                .0
-                .saturating_add(scale_by_relative_change(plain.0, share))
-                .saturating_add(zero.into()),
+            plain.0.saturating_add(change_of_length(plain.0, share)).saturating_add(zero.into()),
         )
     }
 
@@ -145,13 +142,13 @@ impl LearnedChanges {
     pub fn apply_to_expansion(&self, axis: usize, plain: FineNanometres) -> FineNanometres {
         let [_, axes @ .., _] = self.now;
         let share = axes.get(axis).copied().unwrap_or_default();
-        plain.saturating_add(FineNanometres(scale_by_relative_change(plain.0, share)))
+        plain.saturating_add(FineNanometres(change_of_length(plain.0, share)))
     }
 }
 
 /// This share of a length.
 #[inline]
-fn scale_by_relative_change(length: i32, share: i16) -> i32 {
+fn change_of_length(length: i32, share: i16) -> i32 {
     mul_high_rounded(length, i32::from(share).wrapping_mul(CHANGE_UNIT_Q32))
 }
 

@@ -25,7 +25,7 @@ pub fn compare_with_running_calibration(
     session: &mut Session,
     new: &[u8],
 ) -> Result<RunningCalibrationComparison> {
-    let bar = byte_progress_bar("reading the bridge's calibration", 0);
+    let bar = create_byte_progress_bar("reading the bridge's calibration", 0);
     let old = calibration_load::read_running_calibration(session, |got, of| {
         if let Some(of) = of {
             bar.set_length(of.into());
@@ -47,16 +47,16 @@ pub fn tool_build_version() -> BuildVersion {
 }
 
 /// Says where the bridge's firmware is of another version or commit than this tool. Gives the firmware's.
-pub fn check_firmware_build(session: &mut Session) -> Result<BuildVersion> {
+pub fn read_and_check_firmware_build(session: &mut Session) -> Result<BuildVersion> {
     let bridge = BuildVersion::read(session)?;
-    if let Some(difference) = tool_build_version().difference(&bridge) {
+    if let Some(difference) = tool_build_version().describe_difference(&bridge) {
         report::print_warning(difference);
     }
     Ok(bridge)
 }
 
 /// Returns a bar over this many bytes, on standard error.
-pub fn byte_progress_bar(what: &'static str, bytes: usize) -> ProgressBar {
+pub fn create_byte_progress_bar(what: &'static str, bytes: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg} {wide_bar} {bytes} of {total_bytes} {eta}");
     ProgressBar::with_draw_target(Some(bytes as u64), ProgressDrawTarget::stderr())
         .with_style(style.expect("the template is a constant"))

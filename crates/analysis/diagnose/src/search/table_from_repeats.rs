@@ -80,9 +80,9 @@ fn terms_from_repeats(
     let problem = search.problem;
     let readings = residual_readings(targets, problem, &without.model);
     let none = vec![false; readings.len()];
-    let laws = targets.candidate_laws(&problem.data);
+    let laws = targets.candidate_table_laws(&problem.data);
     let decision = repeats::select_table(&readings, &none, targets.at_mm.len(), &laws);
-    targets.law_terms(decision.taken.ok()?)
+    targets.table_law_terms(decision.taken.ok()?)
 }
 
 /// Returns the readings with what `model` leaves of each group, which are rows here.
@@ -94,5 +94,5 @@ pub(crate) fn residual_readings(
     let mut residual = vec![f64::NAN; problem.data.rows];
     let rows = problem.groups.first_row.iter();
     rows.zip(problem.residual(model)).for_each(|(&row, um)| residual[row] = um);
-    targets.readings(|row| residual[row])
+    targets.to_repeat_readings(|row| residual[row])
 }

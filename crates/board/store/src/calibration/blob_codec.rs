@@ -19,14 +19,14 @@ pub(super) trait Field<'b>: Sized {
 /// Makes fields of types that are one number.
 macro_rules! numbers {
     ($($type:ty: $number:ty),* $(,)?) => {$(
-        impl<'b> $crate::calibration::wire::Field<'b> for $type {
-            const SIZE: usize = <$number as $crate::calibration::wire::Field<'b>>::SIZE;
+        impl<'b> $crate::calibration::blob_codec::Field<'b> for $type {
+            const SIZE: usize = <$number as $crate::calibration::blob_codec::Field<'b>>::SIZE;
 
-            fn write(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+            fn write(&self, to: &mut $crate::calibration::blob_codec::Writer<'_>) {
                 self.0.write(to);
             }
 
-            fn read(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+            fn read(from: &mut $crate::calibration::blob_codec::Reader<'b>) -> Self {
                 Self(<$number>::read(from))
             }
         }
@@ -36,15 +36,15 @@ macro_rules! numbers {
 /// Makes a field of a type whose fields lie in this order.
 macro_rules! fields {
     ($type:ty { $($field:ident: $kind:ty),* $(,)? }) => {
-        impl<'b> $crate::calibration::wire::Field<'b> for $type {
+        impl<'b> $crate::calibration::blob_codec::Field<'b> for $type {
             const SIZE: usize =
-                0_usize$(.saturating_add(<$kind as $crate::calibration::wire::Field<'b>>::SIZE))*;
+                0_usize$(.saturating_add(<$kind as $crate::calibration::blob_codec::Field<'b>>::SIZE))*;
 
-            fn write(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+            fn write(&self, to: &mut $crate::calibration::blob_codec::Writer<'_>) {
                 $(self.$field.write(to);)*
             }
 
-            fn read(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+            fn read(from: &mut $crate::calibration::blob_codec::Reader<'b>) -> Self {
                 Self { $($field: <$kind>::read(from)),* }
             }
         }
@@ -61,7 +61,7 @@ macro_rules! record {
             $($(#[$field_doc])* pub $field: $kind,)*
         }
 
-        $crate::calibration::wire::fields!($name<$life> { $($field: $kind),* });
+        $crate::calibration::blob_codec::fields!($name<$life> { $($field: $kind),* });
     };
 }
 

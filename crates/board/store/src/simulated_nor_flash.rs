@@ -18,7 +18,7 @@ const UNSTABLE_ERASE_BYTES: usize = 64;
 /// A strict flash: a bit only goes from 1 to 0, a word is written when it is erased or not at
 /// all, and the power is cut when the fuel is burnt: one unit a byte written or erased.
 #[derive(Clone, Debug)]
-pub struct StrictFlash<const SECTOR: usize> {
+pub struct SimulatedNorFlash<const SECTOR: usize> {
     /// Its bytes: two sectors.
     pub bytes: Vec<u8>,
     /// Bytes that can still be written or erased.
@@ -35,7 +35,7 @@ pub struct StrictFlash<const SECTOR: usize> {
     pub random: Cell<u32>,
 }
 
-impl<const SECTOR: usize> StrictFlash<SECTOR> {
+impl<const SECTOR: usize> SimulatedNorFlash<SECTOR> {
     /// Blank.
     pub fn erased() -> Self {
         Self::from_bytes(std::vec![0xFF; 2 * SECTOR])
@@ -74,11 +74,11 @@ impl<const SECTOR: usize> StrictFlash<SECTOR> {
     }
 }
 
-impl<const SECTOR: usize> ErrorType for StrictFlash<SECTOR> {
+impl<const SECTOR: usize> ErrorType for SimulatedNorFlash<SECTOR> {
     type Error = NorFlashErrorKind;
 }
 
-impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
+impl<const SECTOR: usize> ReadNorFlash for SimulatedNorFlash<SECTOR> {
     const READ_SIZE: usize = WORD_SIZE;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
@@ -104,7 +104,7 @@ impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
     }
 }
 
-impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
+impl<const SECTOR: usize> NorFlash for SimulatedNorFlash<SECTOR> {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = SECTOR;
 
