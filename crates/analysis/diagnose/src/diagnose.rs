@@ -7,7 +7,7 @@ use trueup_machine::{
     effect::{DelayKind, ThermometerDelay},
     machine_file::Quantity,
 };
-use trueup_numerics::random::RandomGenerator;
+use trueup_numerics::{block_resampling::MAX_BLOCKS, random::RandomGenerator};
 
 use crate::{
     candidates::propose_curve_candidates,
@@ -28,8 +28,6 @@ use crate::{
 
 /// Groups that the search works on where there is time alone; rows beyond are averaged.
 const MAX_ROW_GROUPS: usize = 1000;
-/// Groups that are left where rows are put together for a late thermometer.
-const MIN_ROW_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
 /// more rows this many are drawn by chance. The last fit is to all of them.
 const MOVING_AXIS_SAMPLE_ROWS: usize = 3000;
@@ -249,7 +247,8 @@ fn slope_window_rows(problem: &FitProblem, found: &SearchOutcome) -> Option<usiz
         return None;
     };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
-    let most = problem.groups.row_count() as usize / MIN_ROW_GROUPS;
+    // Two groups are left in each block of an interval.
+    let most = problem.groups.row_count() as usize / (2 * MAX_BLOCKS);
     let size = (rows.ceil() as usize).min(most);
     (size > problem.groups.size).then_some(size)
 }

@@ -31,7 +31,7 @@ mod undetermined_parameters;
 pub(crate) use covariance::{ParameterCovariance, estimate_parameter_covariance};
 pub(crate) use jacobian::{jacobian, part_derivatives};
 pub(crate) use levenberg_marquardt::{FittedModel, fit};
-pub(crate) use problem::FitProblem;
+pub(crate) use problem::{FitProblem, settling_time_s};
 pub(crate) use split_half_difference::find_largest_half_difference;
 
 /// The level of what is reported: of intervals and regions, of a floor, and the power of what would have been found (fixed

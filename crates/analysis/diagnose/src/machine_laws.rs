@@ -5,7 +5,7 @@ use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     effect::{ModelConstants, ThermometerDelay},
-    machine_file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw, Warmup},
+    machine_file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw},
     model::{WarmupState, thermal_error_um},
 };
 
@@ -100,62 +100,17 @@ impl MachineLaws {
         column: Option<&str>,
         width_s: f64,
     ) -> DataTable {
-        let own = Self::from_machine(data);
-        let others = column.filter(|column| !own.thermometer_columns().any(|own| own == *column));
-        let columns: Vec<&str> = own.thermometer_columns().chain(others).collect();
-        Self::transform_temperatures(data, &columns, &|data, column| {
-            data.smooth_temperature(column, width_s)
-        })
-    }
-
-    /// `data` as if a term's temperature of `column`, or (none) those of the machine's own laws, came behind a
-    /// lag of `late_s`.
-    pub(crate) fn table_with_thermometer_lag(
-        data: &DataTable,
-        column: Option<&str>,
-        late_s: f64,
-    ) -> DataTable {
-        let delay_temperature =
-            |data: &mut DataTable, column: &str| data.apply_temperature_lag(column, late_s);
-        match (column, &data.whole) {
-            (None, _) => {
-                let own = Self::from_machine(data);
-                Self::transform_temperatures(
-                    data,
-                    &own.thermometer_columns().collect::<Vec<_>>(),
-                    &delay_temperature,
-                )
-            }
-            (Some(_), Some(whole)) => data.with_parent_table(Self::table_with_thermometer_lag(
-                &whole.data,
-                column,
-                late_s,
-            )),
-            (Some(column), None) => {
-                let mut late = data.clone();
-                delay_temperature(&mut late, column);
-                late
-            }
-        }
-    }
-
-    /// `data` with the thermometers of `columns` changed, and the machine's own laws with them.
-    fn transform_temperatures(
-        data: &DataTable,
-        columns: &[&str],
-        change: &dyn Fn(&mut DataTable, &str),
-    ) -> DataTable {
         if let Some(whole) = &data.whole {
-            return data.with_parent_table(Self::transform_temperatures(
-                &whole.data,
-                columns,
-                change,
-            ));
+            let smooth = Self::table_with_smooth_temperatures(&whole.data, column, width_s);
+            return data.with_parent_table(smooth);
         }
-        let mut changed = data.clone();
-        columns.iter().for_each(|column| change(&mut changed, column));
         let laws = Self::from_machine(data);
-        if laws.thermometer_columns().any(|own| columns.contains(&own)) {
+        let others = column.filter(|column| !laws.thermometer_columns().any(|own| own == *column));
+        let mut changed = data.clone();
+        laws.thermometer_columns()
+            .chain(others)
+            .for_each(|column| changed.smooth_temperature(column, width_s));
+        if laws.thermometer_columns().next().is_some() {
             let axis: Arc<[f64]> = laws.axis_error_um(&changed).into();
             let law: Arc<[f64]> = laws.elongation_um(&changed).into();
             let before = &data.predicted;
@@ -174,22 +129,6 @@ impl MachineLaws {
             };
         }
         changed
-    }
-
-    /// Returns the time constant with which the model's own heat rises.
-    pub(crate) fn rise_time_constant_s(&self, data: &DataTable) -> Option<f64> {
-        let spindle = self.spindle.as_ref().unwrap_or(&data.setting.machine.spindle);
-        let rise_s = match (self.thermal.as_ref().or(own_axis_thermal_law(data)), spindle.source) {
-            (Some(thermal), _) => Some(thermal.lag_s),
-            (None, Some(ElongationSource::Temperature)) => {
-                spindle.temperature.as_ref().map(|temperature| temperature.lag_s)
-            }
-            (None, Some(ElongationSource::Warmup)) => {
-                spindle.warmup.as_ref().map(Warmup::time_constant_s)
-            }
-            _ => None,
-        };
-        rise_s.filter(|rise_s| *rise_s > 0.0)
     }
 
     /// Returns the law of the elongation, where it is corrected and the axis's is not, and it is a factor times a

@@ -6,7 +6,10 @@ use std::collections::HashMap;
 
 use trueup_numerics::{
     repeats::SIGNIFICANCE_LEVEL,
-    robust::{flag_residual_outliers, median, noise_tail_probability, poisson_tail_probability},
+    robust::{
+        NEIGHBOURS_PER_SIDE, flag_residual_outliers, median, noise_tail_probability,
+        poisson_tail_probability,
+    },
 };
 
 use crate::{
@@ -62,8 +65,6 @@ pub(crate) enum OutlierJudgement {
 /// costs nothing; that readings are wrong is claimed if noise whose tails are exponential, heavier than normal ones, has
 /// such readings less often.
 pub(crate) const FALSE_POSITIVE_PROBABILITY: f64 = 1e-3;
-/// Readings on each side of one that show its level.
-const LEVEL_HALF_WINDOW_READINGS: usize = 3;
 
 /// Returns what is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
 /// rest, both as it is and from the neighbours' level; or, where an axis comes back, about its places (by the
@@ -136,8 +137,8 @@ fn deviations_from_local_median(
 ) -> Vec<f64> {
     let mut distance_um = vec![f64::NAN; data.rows];
     for (at, &row) in rows.iter().enumerate() {
-        let near = &rows[at.saturating_sub(LEVEL_HALF_WINDOW_READINGS)
-            ..(at + LEVEL_HALF_WINDOW_READINGS + 1).min(rows.len())];
+        let near = &rows[at.saturating_sub(NEIGHBOURS_PER_SIDE)
+            ..(at + NEIGHBOURS_PER_SIDE + 1).min(rows.len())];
         let counts = |other: &&usize| {
             **other != row
                 && !aside[**other]

@@ -30,8 +30,6 @@ use crate::{
 /// the most that ISO 10791-4 lets a machining centre of 2 m have. Less than that may be the noise of
 /// the instrument.
 pub(crate) const MAX_REPEATABILITY_STD_UM: f64 = 5.0;
-/// More places than a table of the machine file should have points are no targets.
-const MAX_TARGET_POSITIONS: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
 pub(crate) const POSITION_TOLERANCE_MM: f64 = 1e-3;
 
@@ -79,7 +77,7 @@ impl TargetPositions {
         });
         let step = steps.fold(f64::INFINITY, f64::min);
         let (at_mm, place_of) = group_positions(&at, if step.is_finite() { step } else { 0.0 });
-        if at_mm.len() > MAX_TARGET_POSITIONS || 2 * rows.len() < 3 * at_mm.len() {
+        if 2 * rows.len() < 3 * at_mm.len() {
             return None;
         }
         let cycle_of = match data.run_numbers() {

@@ -6,7 +6,7 @@ use crate::random::RandomGenerator;
 /// Draws for an interval.
 const BOOTSTRAP_RESAMPLES: usize = 400;
 /// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
-const MIN_BLOCKS: usize = 8;
+pub const MIN_BLOCKS: usize = 8;
 /// Parts of a record: what is gained in one of them alone was seen once.
 pub const SEGMENT_COUNT: usize = 6;
 /// Most blocks that a record is cut into.

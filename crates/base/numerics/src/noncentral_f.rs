@@ -26,7 +26,7 @@ const MIN_POISSON_WEIGHT: f64 = 1e-17;
 /// ```
 /// use trueup_numerics::noncentral_f::f_test_power;
 /// // scipy.stats.ncf.sf(f.isf(0.01, 2, 20), 2, 20, 15)
-/// assert!((power(0.01, 2.0, 20.0, 15.0) - 0.712_219_807).abs() < 1e-9);
+/// assert!((f_test_power(0.01, 2.0, 20.0, 15.0) - 0.712_219_807).abs() < 1e-9);
 /// ```
 #[must_use]
 pub fn f_test_power(significance: f64, constants: f64, freedom: f64, noncentrality: f64) -> f64 {

@@ -45,7 +45,7 @@ mod tests;
 
 pub use outlier_isolation::retain_isolated_outliers;
 pub use regression_outliers::{MIN_ROWS_PER_COLUMN, find_regression_outliers};
-pub use residual_outliers::{MAX_OUTLIER_FRACTION, flag_residual_outliers};
+pub use residual_outliers::{MAX_OUTLIER_FRACTION, NEIGHBOURS_PER_SIDE, flag_residual_outliers};
 pub use series_outliers::{MIN_SERIES_ROWS, find_series_outliers};
 pub use statistics::median;
 pub(crate) use statistics::outlier_cutoff;

@@ -22,7 +22,7 @@
 //! ```
 //! use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, draw_test_case};
 //! // Thermal lag, three times as large as the noise, by seed 7.
-//! let challenge = draw(HiddenCause::ThermalLag, 3.0, 7);
+//! let challenge = draw_test_case(HiddenCause::ThermalLag, 3.0, 7);
 //! assert!(challenge.runs[0].starts_with("time_s,")); // run files, to train on
 //! assert!(challenge.machine.contains("[machine]"));  // what the user believes
 //! let effect = &challenge.truth.effects[0];          // the answer

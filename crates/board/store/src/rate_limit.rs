@@ -12,7 +12,7 @@ pub const MIN_STORE_INTERVAL_MS: u32 = 50;
 /// let permit = pace.store_permit().expect("the first one at once");
 /// pace.record(permit);
 /// assert!(pace.store_permit().is_none());
-/// pace.advance_time(STORE_PERIOD_MS);
+/// pace.advance_time(MIN_STORE_INTERVAL_MS);
 /// assert!(pace.store_permit().is_some());
 /// ```
 #[derive(Clone, Copy, Debug, Default)]

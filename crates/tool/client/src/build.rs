@@ -50,11 +50,11 @@ impl BuildVersion {
     /// ```
     /// use trueup_client::build::BuildVersion;
     /// let tool = BuildVersion::new("0.2.0", "1a2b3c4d");
-    /// assert_eq!(tool.difference(&BuildVersion::new("0.2.0", "1a2b3c4d")), None);
-    /// assert_eq!(tool.difference(&BuildVersion::new("0.2.0", "unknown")), None);
-    /// let message = tool.difference(&BuildVersion::new("0.2.0", "00000007")).unwrap();
+    /// assert_eq!(tool.describe_difference(&BuildVersion::new("0.2.0", "1a2b3c4d")), None);
+    /// assert_eq!(tool.describe_difference(&BuildVersion::new("0.2.0", "unknown")), None);
+    /// let message = tool.describe_difference(&BuildVersion::new("0.2.0", "00000007")).unwrap();
     /// assert!(message.starts_with("the bridge's firmware is 0.2.0 (00000007), this tool 0.2.0 (1a2b3c4d)"));
-    /// assert!(tool.difference(&BuildVersion::new("0.1.0", "unknown")).is_some());
+    /// assert!(tool.describe_difference(&BuildVersion::new("0.1.0", "unknown")).is_some());
     /// ```
     #[must_use]
     pub fn describe_difference(&self, bridge: &Self) -> Option<String> {

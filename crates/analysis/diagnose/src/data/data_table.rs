@@ -350,31 +350,12 @@ impl DataTable {
         })
     }
 
-    /// Smooths a temperature over `width_s`, without making it late.
+    /// Smooths a temperature over `width_s`, where there is time, without making it late.
     pub(crate) fn smooth_temperature(&mut self, column: &str, width_s: f64) {
-        self.transform_temperature(column, |values, time_s, restart| {
-            smooth_zero_phase(values, time_s, restart, width_s)
-        });
-    }
-
-    /// A temperature behind a lag.
-    pub(crate) fn apply_temperature_lag(&mut self, column: &str, late_s: f64) {
-        let behind = [late_s; 2];
-        self.transform_temperature(column, |values, time_s, restart| {
-            apply_lag(values, time_s, restart, behind, LagInitialState::Settled)
-        });
-    }
-
-    /// Changes a temperature, where there is time: from its values, the times and where states begin anew.
-    fn transform_temperature(
-        &mut self,
-        column: &str,
-        of: impl Fn(&[f64], &[f64], &[bool]) -> Vec<f64>,
-    ) {
         let Some(time_s) = self.columns[KnownColumn::Time].clone() else { return };
         let mut temperatures = self.columns[ColumnGroup::Temperatures].iter_mut();
         if let Some((_, values)) = temperatures.find(|(there, _)| there == column) {
-            *values = of(values, &time_s, &self.places.restart).into();
+            *values = smooth_zero_phase(values, &time_s, &self.places.restart, width_s).into();
         }
     }
 

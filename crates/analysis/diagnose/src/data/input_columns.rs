@@ -8,6 +8,9 @@ use super::{data_table::DataTable, table_columns::ColumnGroup};
 
 /// The correlation from which a column is another one in other units: 0.2 % of the squares are its own, the last digits.
 const MIN_DUPLICATE_CORRELATION: f64 = 0.999;
+/// The share of a column's squares left next to others up to which it is one of them.
+pub(crate) const MAX_DUPLICATE_VARIANCE_FRACTION: f64 =
+    1.0 - MIN_DUPLICATE_CORRELATION * MIN_DUPLICATE_CORRELATION;
 
 /// Returns whether a column is about the record, not about the machine.
 pub(super) fn is_record_metadata_column(name: &str) -> bool {

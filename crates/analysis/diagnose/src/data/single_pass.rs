@@ -2,11 +2,9 @@
 //! question, whatever the clock says.
 
 use trueup_machine::effect::{Effect, peak_to_peak};
+use trueup_numerics::repeats::MIN_TABLE_POSITIONS;
 
 use super::{data_table::DataTable, table_columns::KnownColumn};
-
-/// Places that make a pass: two always lie on a line.
-const MIN_PASS_POSITIONS: usize = 3;
 
 /// Returns true where the own axis goes one way through the whole record, and never comes back to a place.
 pub(super) fn is_single_pass(data: &DataTable) -> bool {
@@ -19,7 +17,8 @@ pub(super) fn is_single_pass(data: &DataTable) -> bool {
         rows.filter(|(mm, um)| mm.is_finite() && um.is_finite()).map(|(mm, _)| *mm).collect();
     let steps = || places.windows(2).map(|pair| pair[1] - pair[0]);
     let moves = steps().filter(|step| *step != 0.0).count();
-    moves + 1 >= MIN_PASS_POSITIONS
+    // Fewer places have no form.
+    moves + 1 >= MIN_TABLE_POSITIONS
         && (steps().all(|step| step >= 0.0) || steps().all(|step| step <= 0.0))
 }
 

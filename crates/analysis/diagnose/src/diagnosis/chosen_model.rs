@@ -25,12 +25,9 @@ use crate::{
     judgement::TermJudgement,
     model::Model,
     repeats,
-    search::SearchOutcome,
+    search::{SearchOutcome, model_comparison::MAX_HELD_OUT_SQUARES_RATIO},
     term_kind::TermKind,
 };
-
-/// Terms that only explain fall short where they leave more than this times the residual of held-out parts.
-const MAX_HOLD_OUT_RESIDUAL_RATIO: f64 = 1.5;
 
 /// The result of the search, with what it was made from.
 pub(super) struct SearchContext<'a> {
@@ -141,7 +138,7 @@ impl ChosenModel {
             let parts =
                 CrossValidatedRecord { problem, folds, model: &model, foreseen: None, within };
             let figures = parts.held_out_errors().figures;
-            let most_left_um = MAX_HOLD_OUT_RESIDUAL_RATIO * figures.after_um;
+            let most_left_um = MAX_HELD_OUT_SQUARES_RATIO.sqrt() * figures.after_um;
             let promised = ReductionBounds { floor: figures.reduction_floor95, most_left_um };
             Shortfall::new(data, hold_out, &hold_out.data, &model, promised, memory)
         };

@@ -13,7 +13,7 @@
 //!
 //! A machine also changes with the days, which parts in the middle do not show: what is expected is the median of ρ and
 //! of what a fit to the first half, and to the first two thirds, predicted of the rest, where the inputs of the rest lie
-//! within theirs. From the largest of the three on a new day may leave more of what is corrected, as
+//! within theirs; never less than ρ. From the largest of the three on a new day may leave more of what is corrected, as
 //! [`crate::answer::new_day`] says: its zero is its own, its readings are few, or alike. The floor allows for this as
 //! well, and for the worst two parts.
 //!
@@ -200,7 +200,8 @@ impl FoldMeanSquares {
         let count = self.before.len() as f64;
         let Some(ratio) = self.mean_square_ratio(noise) else { return ErrorReduction::default() };
         let [before, _] = self.noise_corrected_mean_squares(noise);
-        let expected = median(&mut [&[ratio], later].concat());
+        // No more than the parts gave, however well the rests were predicted.
+        let expected = median(&mut [&[ratio], later].concat()).max(ratio);
         let off = self.before.iter().zip(&self.after).map(|(b, a)| {
             let [b, a] = [b - noise, a - noise];
             (a - ratio * b).powi(2)

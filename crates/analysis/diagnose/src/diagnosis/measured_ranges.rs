@@ -23,9 +23,6 @@ use crate::{
     term_kind::TermKind,
 };
 
-/// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
-const DIAL_GAUGE_RESOLUTION_UM: f64 = 1.0;
-
 /// Returns the values of a machine file that no machine can have.
 fn find_impossible_values(machine: &Machine) -> Vec<ImplausibleValue> {
     let findings = check::list_implausible_values(machine).into_iter();
@@ -66,7 +63,7 @@ impl<'m> MeasuredRanges<'m> {
             machine,
             quantity: data.setting.quantity,
             ranges: recorded_input_ranges(data, runs),
-            largest_um: about(&problem.measured).max(about(&left)).max(DIAL_GAUGE_RESOLUTION_UM),
+            largest_um: about(&problem.measured).max(about(&left)),
             range_um,
             is_refused: envelope::find_limit_violation(machine).is_some(),
             impossible: find_impossible_values(machine)
@@ -140,7 +137,7 @@ impl<'m> MeasuredRanges<'m> {
             .filter(|um| um.is_finite())
             .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
         // As far beyond as the measured range is wide.
-        let margin_um = (self.range_um[1] - self.range_um[0]).max(DIAL_GAUGE_RESOLUTION_UM);
+        let margin_um = self.range_um[1] - self.range_um[0];
         let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
         let worst = predict_states(extended, &self.ranges)
             .into_iter()

@@ -7,8 +7,11 @@ use std::collections::BTreeMap;
 
 use crate::{
     data::{DataTable, forward_fill},
-    diagnosis::value_range::{largest_rise, min_max},
-    fit::FitProblem,
+    diagnosis::{
+        held_out_errors::EXTRAPOLATION_MARGIN_FRACTION,
+        value_range::{largest_rise, min_max},
+    },
+    fit::{FitProblem, settling_time_s},
     term_kind::ModelPart,
 };
 
@@ -18,10 +21,6 @@ const MIN_TEMPERATURE_DIFFERENCE_K: f64 = 5.0;
 const MIN_READINGS_PER_SIDE: usize = 7;
 /// at mid-travel and both ends.
 const MIN_APPROACH_POSITIONS: usize = 3;
-/// The pages require a record this many times as long as the time constant.
-const MIN_RECORD_TO_TIME_CONSTANT_RATIO: f64 = 3.0;
-/// A position within this share of the travel of an end is at the end.
-const END_ZONE_FRACTION: f64 = 0.1;
 
 /// `asked`, or what remains where `problem` has that already.
 pub(super) fn next_measurement(problem: &FitProblem, part: &ModelPart, asked: String) -> String {
@@ -40,9 +39,9 @@ fn satisfies_request(problem: &FitProblem, part: &ModelPart, asked: &str) -> boo
     if asked.contains("seven times from each side") {
         has_enough_approaches(data)
     } else if asked.contains("with a cool-down") {
-        let [_, three_records_s] = problem.bounds.time_constant_s;
+        // The pages require a record of three time constants: in that 95 % of a change come.
         let is_long = part.kind.has_time_constant()
-            && MIN_RECORD_TO_TIME_CONSTANT_RATIO * part.values[0] <= three_records_s / 3.0;
+            && settling_time_s(part.values[0]) <= problem.bounds.longest_s;
         is_long && has_heating_and_cooling(data, column.as_deref()) && data.setting.files.len() > 1
     } else if asked.contains("a start from cold and a stop from warm") {
         has_heating_and_cooling(data, column.as_deref())
@@ -95,7 +94,8 @@ fn has_heating_and_cooling(data: &DataTable, column: Option<&str>) -> bool {
 fn has_axis_ends_at_two_temperatures(data: &DataTable, column: Option<&str>) -> bool {
     let Some(own) = data.own_position_mm() else { return false };
     let [low, high] = min_max(own.iter().copied());
-    let margin = END_ZONE_FRACTION * (high - low);
+    // What was read so near to an end may be continued to it.
+    let margin = EXTRAPOLATION_MARGIN_FRACTION * (high - low);
     relevant_temperatures(data, column).any(|values| {
         let spread = |is_there: &dyn Fn(f64) -> bool| {
             let there = (0..data.rows).filter(|&row| data.used[row] && is_there(own[row]));

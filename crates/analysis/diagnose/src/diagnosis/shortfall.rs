@@ -3,7 +3,10 @@
 //! Of few rows a mean square is known badly: one gross reading makes it. Then the hold-out does not say that the promise fails, and
 //! not that it holds either; the rows that leave the most are named.
 
-use trueup_numerics::block_resampling::{RowBlocks, rms};
+use trueup_numerics::{
+    block_resampling::{RowBlocks, rms},
+    robust::MAX_OUTLIER_FRACTION,
+};
 
 use crate::{
     data::DataTable,
@@ -40,9 +43,6 @@ pub(super) struct GrossErrorRows {
     /// The reduction without them.
     pub reduction: f64,
 }
-
-/// Of more rows than this share of a hold-out it is not reported that they are the exception.
-const MAX_GROSS_ERROR_FRACTION: f64 = 0.1;
 
 /// The promise that a hold-out is compared with.
 pub(super) struct ReductionBounds {
@@ -128,7 +128,8 @@ impl Shortfall {
 
 impl GrossErrorRows {
     /// Returns the fewest of `rows`, each with what is left of it before and after in µm, without which the rest keeps the
-    /// `floor`; none where they are more than a tenth.
+    /// `floor`; none where they are more than a few
+    /// readings.
     fn find_minimal_set(
         hold_out: &HoldOut<'_>,
         test: &DataTable,
@@ -141,7 +142,7 @@ impl GrossErrorRows {
                 [0, 1].map(|n| rows.iter().map(|(_, left)| left[n].powi(2)).sum::<f64>());
             1.0 - (after / before).sqrt()
         };
-        let most = (MAX_GROSS_ERROR_FRACTION * rows.len() as f64) as usize;
+        let most = (MAX_OUTLIER_FRACTION * rows.len() as f64) as usize;
         let count = (1..=most).find(|count| reduction(&rows[*count..]) >= floor)?;
         let (gross, rest) = rows.split_at(count);
         let mut gross = gross.to_vec();

@@ -7,13 +7,12 @@ use serde_json::json;
 use trueup_machine::effect::Effect;
 
 use super::report::Finding;
-use crate::{data::DataTable, term_kind::ModelPart};
+use crate::{
+    data::DataTable, search::model_comparison::STRONG_EVIDENCE_BIC_DIFFERENCE, term_kind::ModelPart,
+};
 
-/// Rows before and after that are looked at.
+/// Rows before and after that are looked at: a cap of work, which grows with their cube.
 const STEP_HALF_WINDOW_ROWS: usize = 40;
-/// A ramp has two ends where a step has one instant: this many times the squares of a reading's noise must it leave
-/// less.
-const MIN_GAIN_NOISE_VARIANCES: f64 = 12.0;
 
 /// Adds to the finding of a step how long it took, where it was slower than a reading; `after` is what the answer says
 /// of each row, in µm.
@@ -81,8 +80,9 @@ fn estimate_ramp_duration_s(rows: &[(f64, f64)], at_s: f64, size_um: f64) -> Opt
     }
     let (left, first, last) = best;
     let noise = left / (rows.len() as f64 - 3.0).max(1.0);
-    (last > first + 2 && step - left > MIN_GAIN_NOISE_VARIANCES * noise)
-        .then(|| rows[last].0 - rows[first].0)
+    // Strong evidence by BIC: a ramp has two ends where a step has one instant.
+    let least = STRONG_EVIDENCE_BIC_DIFFERENCE + (rows.len() as f64).ln();
+    (last > first + 2 && step - left > least * noise).then(|| rows[last].0 - rows[first].0)
 }
 
 #[cfg(test)]

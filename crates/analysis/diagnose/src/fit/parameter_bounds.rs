@@ -1,7 +1,7 @@
 //! The bounds of the nonlinear values of a fit, from the extent of a record: what is faster, slower, longer or later cannot
 //! be distinguished from noise, from a curve, or from another cause.
 
-use trueup_machine::effect::MIN_READINGS_PER_PERIOD;
+use trueup_machine::effect::{MIN_CYCLES, MIN_READINGS_PER_PERIOD};
 use trueup_numerics::block_resampling::MIN_CORRELATION_TIMES_PER_BLOCK;
 
 use crate::{
@@ -48,10 +48,6 @@ const MAX_TIME_SHIFT_FRACTION: f64 = 0.1;
 const MAX_TIME_CONSTANT_TO_RECORD_RATIO: f64 = 3.0;
 /// The longest period, in travels: a wave that turns less than one and a half times is a curve.
 const MAX_PERIOD_TO_TRAVEL_RATIO: f64 = 0.7;
-/// The same in time, in records: what comes and goes less than two and a half times is a slow law of something.
-const MAX_PERIOD_TO_RECORD_RATIO: f64 = 0.4;
-/// Heat that cools this many times faster or slower than it warms is not the same heat.
-pub(super) const MAX_COOLING_TIME_CONSTANT_RATIO: f64 = 5.0;
 
 /// Returns the bounds of a fit to the `groups` of `data`.
 pub(super) fn compute_parameter_bounds(data: &DataTable, groups: &RowGroups) -> ParameterBounds {
@@ -108,7 +104,7 @@ pub(super) fn compute_parameter_bounds(data: &DataTable, groups: &RowGroups) -> 
         ],
         period_s: [
             MIN_READINGS_PER_PERIOD * longest_s / groups.len().max(2) as f64,
-            MAX_PERIOD_TO_RECORD_RATIO * longest_s,
+            longest_s / MIN_CYCLES,
         ],
         prediction_um,
     }

@@ -13,9 +13,7 @@ use super::{
     column_cache::{CacheKey, ColumnCache, GroupColumns},
     growth_cache,
     memo_table::MemoTable,
-    parameter_bounds::{
-        MAX_COOLING_TIME_CONSTANT_RATIO, ParameterBounds, compute_parameter_bounds,
-    },
+    parameter_bounds::{ParameterBounds, compute_parameter_bounds},
 };
 use crate::{
     columns::basis_columns,
@@ -213,8 +211,7 @@ impl FitProblem {
     /// Returns whether a time constant is so short that the record shows all of it: in each of its parts 95 % of a change
     /// comes.
     pub(crate) fn is_time_constant_short(&self, time_constant_s: f64) -> bool {
-        let settled_s = -(1.0 - CONFIDENCE_LEVEL).ln() * time_constant_s;
-        SEGMENT_COUNT as f64 * settled_s < self.bounds.longest_s
+        SEGMENT_COUNT as f64 * settling_time_s(time_constant_s) < self.bounds.longest_s
     }
 
     /// Returns whether a value of a part is where its search ends, so that the best may lie beyond: a time
@@ -262,19 +259,6 @@ impl FitProblem {
 
     /// Holds the values of the model to what is physically possible and inside what the data can show.
     pub(super) fn constrain_values(&self, model: &mut Model) {
-        let falls = |part: &ModelPart| {
-            part.kind.nonlinear_parameters().contains(&NonlinearParameter::FallingTimeConstant)
-        };
-        let is_falling = model.parts.iter().any(falls);
-        let rise_s = is_falling
-            .then(|| {
-                MachineLaws::with_corrections(
-                    &self.data,
-                    &model.with_machine_terms(&self.data).parts,
-                )
-                .rise_time_constant_s(&self.data)
-            })
-            .flatten();
         let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
         for part in &mut model.parts {
             let nonlinear = part.kind.nonlinear_parameters();
@@ -286,16 +270,7 @@ impl FitProblem {
                         own.into_iter().for_each(|limits| held(value, limits));
                     }
                     NonlinearParameter::FallingTimeConstant => {
-                        if let Some(rise_s) = rise_s {
-                            held(
-                                value,
-                                [
-                                    rise_s / MAX_COOLING_TIME_CONSTANT_RATIO,
-                                    MAX_COOLING_TIME_CONSTANT_RATIO * rise_s,
-                                ],
-                            );
-                        }
-                        held(value, self.bounds.time_constant_s);
+                        held(value, self.bounds.time_constant_s)
                     }
                     NonlinearParameter::Shift => held(value, self.bounds.shift_s),
                     NonlinearParameter::ThermometerDelay => held(value, self.bounds.late_s),
@@ -315,6 +290,11 @@ impl FitProblem {
             }
         }
     }
+}
+
+/// Returns the time in which 95 % of a change come, in s.
+pub(crate) fn settling_time_s(time_constant_s: f64) -> f64 {
+    -(1.0 - CONFIDENCE_LEVEL).ln() * time_constant_s
 }
 
 /// Returns the range of a part's only nonlinear value, where its page knows it.

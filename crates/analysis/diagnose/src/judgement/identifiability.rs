@@ -3,14 +3,13 @@
 use trueup_machine::effect::Effect;
 
 use crate::{
-    columns::column_by_name, data::DataTable, judgement::context::JudgementContext,
-    model::MIN_DISTINCT_RATE_RATIO, search::model_comparison::MAX_EQUIVALENT_RMS_RATIO,
+    columns::column_by_name,
+    data::DataTable,
+    judgement::context::JudgementContext,
+    model::MIN_DISTINCT_RATE_RATIO,
+    search::model_comparison::{MAX_EQUIVALENT_RMS_RATIO, MAX_HELD_OUT_SQUARES_RATIO},
     term_kind::TermKind,
 };
-
-/// A term with a time constant is identified if the model leaves at most this many times the RMS of the fitted data where it
-/// was not fitted. The search's limit for several terms at once, of half as many squares, is another.
-const MAX_HELD_OUT_RMS_RATIO: f64 = 2.0;
 
 /// Returns whether a term is identified; `is_known`: by the intervals of its values.
 pub(crate) fn is_identified(case: &JudgementContext<'_>, cause: &TermKind, is_known: bool) -> bool {
@@ -24,7 +23,7 @@ pub(crate) fn is_identified(case: &JudgementContext<'_>, cause: &TermKind, is_kn
     is_predicted
         || is_known
             && has_stable_time_constant(case, cause)
-            && (is_at_most(MAX_HELD_OUT_RMS_RATIO) || !is_late)
+            && (is_at_most(MAX_HELD_OUT_SQUARES_RATIO.sqrt()) || !is_late)
             && is_heat_path_repeated(&case.problem.data, cause)
 }
 

@@ -6,10 +6,8 @@
 //!
 //! ```text
 //! do more that only it can do than a lag of the first order misses      if it depends on heat as well
-//! be needed with the law's temperature behind a second lag,             if it has no time constant
-//! of a part of its time constant
-//! be needed where the record's start, two of the law's time constants   if it has no time constant
-//! long, is held out
+//! be needed where the record's start is held out, in which 95 % of a    if it has no time constant
+//! change of the law come
 //! ```
 
 use std::f64::consts::PI;
@@ -17,9 +15,8 @@ use std::f64::consts::PI;
 use trueup_numerics::{block_resampling::rms, noise};
 
 use crate::{
-    fit::{FitProblem, FittedModel, fit},
+    fit::{FittedModel, fit, settling_time_s},
     judgement::context::JudgementContext,
-    machine_laws::MachineLaws,
     search::{
         extension::{ModelExtension, centred_effect, fit_single_cause_extensions},
         model_comparison::{MAJORITY_FRACTION, STRONG_EVIDENCE_BIC_DIFFERENCE},
@@ -29,11 +26,6 @@ use crate::{
 
 /// Lagged laws that are tried next to what settles from the start on.
 const MAX_LAGGED_LAWS: usize = 4;
-/// Time constants of a second body, as parts of that of the first: a shorter one is not seen next to it, and of two
-/// alike the form changes most.
-const SECOND_TIME_CONSTANT_RATIOS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
-/// Of a start that had not settled a seventh is left after this many time constants.
-const SETTLING_TIME_CONSTANTS: f64 = 2.0;
 
 /// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
 pub(crate) fn find_confounding_law(
@@ -56,9 +48,7 @@ pub(crate) fn find_confounding_law(
     });
     let law = laws.find(|law| {
         is_of_heat && is_explained_by_law(case, law, without)
-            || !kind.has_time_constant()
-                && (is_explained_by_second_body(case, law, without)
-                    || is_initial_transient(case, law, without))
+            || !kind.has_time_constant() && is_initial_transient(case, law, without)
     });
     law.map(|law| law.kind.clone())
 }
@@ -104,24 +94,6 @@ fn is_explained_by_law(
     own_um < missed * rms(&centred_effect(case.problem, fitted, &law.kind))
 }
 
-/// Returns whether a second body behind `law` does as well as the term that `without` lacks.
-fn is_explained_by_second_body(
-    case: &JudgementContext<'_>,
-    law: &ModelPart,
-    without: &FittedModel,
-) -> bool {
-    let problem = case.problem;
-    let price = (problem.groups.len() as f64).ln();
-    let column = law.kind.heat_path().map(|path| path.column);
-    SECOND_TIME_CONSTANT_RATIOS.iter().any(|share| {
-        let late_s = share * law.values[0];
-        let late = MachineLaws::table_with_thermometer_lag(&problem.data, column, late_s);
-        let late = FitProblem::new(late, problem.groups.clone());
-        let there = fit(&late, &without.model, None);
-        case.bic_gap(&there) + price < STRONG_EVIDENCE_BIC_DIFFERENCE
-    })
-}
-
 /// Returns whether the term that `without` lacks is not needed once `law` has settled.
 fn is_initial_transient(
     case: &JudgementContext<'_>,
@@ -139,7 +111,7 @@ fn is_initial_transient(
             if series != Some(problem.data.places.series[row]) {
                 (series, start_s) = (Some(problem.data.places.series[row]), times[row]);
             }
-            times[row] - start_s > SETTLING_TIME_CONSTANTS * law.values[0]
+            times[row] - start_s > settling_time_s(law.values[0])
         })
         .collect();
     let left = mask.iter().filter(|is_left| **is_left).count() as f64 / mask.len() as f64;

@@ -14,7 +14,7 @@
 //! its time constant is no longer than the record                else: where it ends was not seen
 //! it is not as fast from the start on as a lagged law with it   else: it may be where that law stood
 //! it does more than a lagged law with it may miss, and is       else: it may make up for the form of
-//! needed with a second lag there, and without the start         that law
+//! needed without the start                                      that law
 //! it gains on held-out blocks, also without the one on which    else: seen once
 //! it gains most
 //! the interval of that gain excludes zero                       else: it may gain nothing

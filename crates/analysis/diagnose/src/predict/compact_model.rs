@@ -5,23 +5,15 @@
 //! within one standard error of the best is taken. It is fitted half to what was measured and half to the mean.
 
 use nalgebra::{DMatrix, DVector};
-use trueup_numerics::parallel::parallel_map;
+use trueup_numerics::{parallel::parallel_map, repeats::DETERMINACY_THRESHOLD};
 
-use crate::{model::Model, predict::dictionary::TermDictionary};
+use crate::{fit::EQUIVALENCE_TOLERANCE, model::Model, predict::dictionary::TermDictionary};
 
 /// Most terms: what the board has room for next to those of the file.
 pub(super) const MAX_COMPACT_MODEL_TERMS: usize = 8;
-/// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
-const SUBSAMPLE_RIDGE_PENALTY: f64 = 0.05;
-/// The ridge of a single fit, against columns that are nearly alike.
-const SINGLE_FIT_RIDGE_PENALTY: f64 = 1e-3;
-/// Held more, a fit is none.
-const MAX_RIDGE_PENALTY: f64 = 10.0;
 /// A term does at most this many times what was measured: of two terms of which each explains all and the other takes it
 /// back, each is larger.
 pub(crate) const MAX_EFFECT_RATIO: f64 = 2.0;
-/// An exchange has to gain this share.
-const MIN_RELATIVE_EXCHANGE_GAIN: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.
 const MAX_CANDIDATES: usize = 60;
 /// The weight of the mean against what was measured.
@@ -88,7 +80,7 @@ pub(super) fn fit_terms(
     terms: &[usize],
 ) -> CompactModel {
     let target: Vec<f64> = rows.iter().map(|&row| y[row]).collect();
-    fit_ridge(dictionary, &target, rows, terms, SINGLE_FIT_RIDGE_PENALTY)
+    fit_ridge(dictionary, &target, rows, terms, DETERMINACY_THRESHOLD)
 }
 
 fn fit_ridge(
@@ -114,7 +106,7 @@ fn fit_ridge(
         })
     };
     let ridges = std::iter::successors(Some(ridge), |ridge| Some(10.0 * ridge));
-    let ridges = ridges.take_while(|ridge| *ridge <= MAX_RIDGE_PENALTY);
+    let ridges = ridges.take_while(|ridge| ridge.is_finite());
     let mut solutions = ridges.map(|ridge| moments.solve_ridge(&all, ridge));
     let Some(amplitudes) = solutions.find(is_possible) else { return CompactModel::default() };
     let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
@@ -224,7 +216,9 @@ impl SubsetSearch<'_> {
     fn held_out_squares_by_subsample(&self, set: &[usize]) -> Vec<f64> {
         let columns: Vec<usize> = set.iter().flat_map(|&n| self.columns[n].clone()).collect();
         let of = |judge: &SubsampleMoments| {
-            let amplitudes = judge.inside.solve_ridge(&columns, SUBSAMPLE_RIDGE_PENALTY);
+            // On columns of unit variance: a ridge takes that share of an effect back, and such effects are still equal.
+            // Less ties a set too closely to its subsample, more forgets it.
+            let amplitudes = judge.inside.solve_ridge(&columns, EQUIVALENCE_TOLERANCE);
             judge.outside.residual_sum_of_squares(&columns, &amplitudes)
         };
         self.judges.iter().map(of).collect()
@@ -278,7 +272,7 @@ impl SubsetSearch<'_> {
             let mut rest = set.clone();
             rest.remove(number);
             if let Some((other, less)) = self.find_best_addition(&rest, is_large)
-                && less < (1.0 - MIN_RELATIVE_EXCHANGE_GAIN) * sum
+                && less < sum
             {
                 (set, sum) = (other, less);
             }
@@ -361,7 +355,7 @@ pub(super) fn select_compact_model(
             (1.0 - ENSEMBLE_MEAN_WEIGHT) * y[row] + ENSEMBLE_MEAN_WEIGHT * mean
         })
         .collect();
-    fit_ridge(dictionary, &target, rows, &terms, SINGLE_FIT_RIDGE_PENALTY)
+    fit_ridge(dictionary, &target, rows, &terms, DETERMINACY_THRESHOLD)
 }
 
 /// Returns the terms of the subsamples, those that come back most often first.

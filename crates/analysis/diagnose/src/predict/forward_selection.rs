@@ -7,20 +7,22 @@
 //! β₋b = (S − S_b)/(N − N_b)        gain = Σ_b 2·β₋b·S_b − β₋b²·N_b
 //! ```
 //!
-//! The best gain wins; of those within one standard error (paired over the blocks) and nine tenths of it the simplest.
+//! The best gain wins; of those within one standard error (paired over the blocks) and the tolerance of equality the simplest.
 
 use trueup_numerics::block_resampling::MIN_GAIN_STANDARD_ERRORS;
 
-use crate::predict::dictionary::TermDictionary;
+use crate::{
+    data::MAX_DUPLICATE_VARIANCE_FRACTION,
+    fit::{CONFIDENCE_LEVEL, EQUIVALENCE_TOLERANCE},
+    predict::dictionary::TermDictionary,
+};
 
-/// Within one standard error, but worth less than this share of the best, a simple term is no rival.
-const MIN_ALTERNATIVE_GAIN_RATIO: f64 = 0.9;
-/// The share of a column's squares left next to the others, below which it adds nothing.
-const MIN_UNIQUE_VARIANCE_FRACTION: f64 = 1e-3;
+/// Within one standard error, but worth less than this share of the best, a simple term is no rival: what equal terms do
+/// differs by no more than the tolerance, and gains are squares.
+const MIN_ALTERNATIVE_GAIN_RATIO: f64 =
+    (1.0 - EQUIVALENCE_TOLERANCE) * (1.0 - EQUIVALENCE_TOLERANCE);
 /// A column is to be seen on as many occasions.
 const MIN_EFFECTIVE_BLOCKS: f64 = 3.0;
-/// Of a block that holds all but this share of what the mean block has nothing is predicted by the others.
-const MIN_OUT_OF_BLOCK_SQUARES_RATIO: f64 = 0.25;
 
 /// A selection.
 pub(super) struct ForwardSelection<'f> {
@@ -64,7 +66,7 @@ impl ForwardSelection<'_> {
             for column in entry.columns.clone() {
                 let mut q = columns[column].clone();
                 let size = dot(&q, &q).sqrt();
-                if size * size <= MIN_UNIQUE_VARIANCE_FRACTION * whole[column] {
+                if size * size <= MAX_DUPLICATE_VARIANCE_FRACTION * whole[column] {
                     continue;
                 }
                 q.iter_mut().for_each(|q| *q /= size);
@@ -156,14 +158,14 @@ fn add_block_gains(z: &[f64], r: &[f64], ends: &[usize], whole: f64, gains: &mut
     let [s, n, squares] = of_blocks
         .iter()
         .fold([0.0; 3], |[s, n, squares], [sb, nb]| [s + sb, n + nb, squares + nb * nb]);
-    if n <= MIN_UNIQUE_VARIANCE_FRACTION * whole
+    if n <= MAX_DUPLICATE_VARIANCE_FRACTION * whole
         || n * n < MIN_EFFECTIVE_BLOCKS.min(count / 3.0) * squares
     {
         return false;
     }
     for (gain, [sb, nb]) in gains.iter_mut().zip(of_blocks) {
         let rest = n - nb;
-        if rest > MIN_OUT_OF_BLOCK_SQUARES_RATIO * n / count {
+        if rest > 0.0 {
             let beta = (s - sb) / rest;
             *gain += 2.0 * beta * sb - beta * beta * nb;
         }
@@ -199,9 +201,8 @@ fn standard_error_of_sum(values: &[f64]) -> f64 {
     (count / (count - 1.0).max(1.0) * scatter).sqrt()
 }
 
-/// Returns the integrated autocorrelation time of a residual in rows, up to where the correlation falls below 0.05.
+/// Returns the integrated autocorrelation time of a residual in rows, up to where the correlation has fallen by 95 %.
 pub(super) fn autocorrelation_time_rows(residual: &[f64]) -> f64 {
-    const MIN_AUTOCORRELATION: f64 = 0.05;
     let count = residual.len();
     let mean = residual.iter().sum::<f64>() / count.max(1) as f64;
     let e: Vec<f64> = residual.iter().map(|e| e - mean).collect();
@@ -209,7 +210,7 @@ pub(super) fn autocorrelation_time_rows(residual: &[f64]) -> f64 {
     let correlation = |lag: usize| {
         dot(&e[lag..], &e[..count - lag]) / (count - lag) as f64 / variance.max(f64::MIN_POSITIVE)
     };
-    let rows = (1..count / 3).map(correlation).take_while(|r| *r >= MIN_AUTOCORRELATION);
+    let rows = (1..count / 3).map(correlation).take_while(|r| *r >= 1.0 - CONFIDENCE_LEVEL);
     1.0 + 2.0 * rows.sum::<f64>()
 }
 

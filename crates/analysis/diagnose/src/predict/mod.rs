@@ -16,7 +16,9 @@ mod dictionary;
 mod forward_selection;
 
 use trueup_numerics::{
-    block_resampling::segment_indices, parallel::parallel_map, random::RandomGenerator,
+    block_resampling::{MAX_BLOCKS, MIN_BLOCKS, segment_indices},
+    parallel::parallel_map,
+    random::RandomGenerator,
 };
 
 use crate::{
@@ -39,9 +41,8 @@ const HELD_OUT_SUBSAMPLE_PAIR_COUNT: usize = 6;
 const SUBSAMPLE_BLOCK_FRACTION: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.
 const MAX_EXTRA_SUBSAMPLE_TERMS: usize = 2;
-/// Blocks are this many times as long as what is left remembers; this many there are at least and at most.
+/// Blocks are this many times as long as what is left remembers.
 const BLOCK_LENGTH_CORRELATION_TIMES: f64 = 4.0;
-const BLOCK_COUNT_RANGE: [usize; 2] = [8, 60];
 /// Blocks to begin with.
 const INITIAL_BLOCK_COUNT: usize = 24;
 /// Of fewer groups a subsample shows too little.
@@ -140,10 +141,7 @@ impl SubsampleSelection<'_> {
             );
             let length = BLOCK_LENGTH_CORRELATION_TIMES * autocorrelation_time_rows(&left);
             let most = (count as f64 / length).min(count as f64 / 8.0) as usize;
-            blocks = segment_indices(
-                count,
-                most.clamp(BLOCK_COUNT_RANGE[0], BLOCK_COUNT_RANGE[1]).min(count),
-            );
+            blocks = segment_indices(count, most.clamp(MIN_BLOCKS, MAX_BLOCKS).min(count));
         }
         let terms = forward(rows, &blocks, compact_model::MAX_COMPACT_MODEL_TERMS, true);
         if terms.is_empty() {

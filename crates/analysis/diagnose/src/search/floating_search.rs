@@ -25,8 +25,8 @@ use crate::{
             without_term,
         },
         model_comparison::{
-            STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom, estimate_noise,
-            extended_bic_penalty,
+            MAX_HELD_OUT_SQUARES_RATIO, STRONG_EVIDENCE_BIC_DIFFERENCE, bic, degrees_of_freedom,
+            estimate_noise, extended_bic_penalty,
         },
         search_state::{AddedTerm, Search},
     },
@@ -37,9 +37,6 @@ use crate::{
 /// Terms that are added without being worth it, before the search turns back: two may hide each other,
 /// and a third one both.
 const MAX_LOOKAHEAD_TERMS: usize = 3;
-/// Several terms at once must be identified: where they were not fitted they leave at most this many times the
-/// squares that they leave where they were.
-const MAX_HELD_OUT_SQUARES_RATIO: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MAX_FITTED_CANDIDATES: usize = 8;
 

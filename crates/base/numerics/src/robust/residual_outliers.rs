@@ -7,8 +7,8 @@
 
 use super::statistics::MAD_SCALE;
 
-/// Neighbours on each side.
-const NEIGHBOURS_PER_SIDE: usize = 3;
+/// Neighbours on each side that show the level of a reading.
+pub const NEIGHBOURS_PER_SIDE: usize = 3;
 /// Fewer rows have no scatter to speak of.
 const MIN_ROWS_FOR_SCATTER: usize = 12;
 /// A larger share of the rows is not a few readings.

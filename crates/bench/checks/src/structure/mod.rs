@@ -92,7 +92,7 @@ const COUNT_LIMITS: CountLimits = CountLimits {
     placeholders: 0,
     public: 0,
     places: 2,
-    thresholds: 66,
+    thresholds: 40,
     stale: 0,
 };
 

@@ -69,7 +69,7 @@ pub use cause_spec::{
 pub use data_view::{DataView, SpectrumVariable, StartValues, peak_to_peak};
 pub use dependence::DependenceForm;
 pub use law_evaluation::ColumnSource;
-pub use periodic_in_time::MIN_READINGS_PER_PERIOD;
+pub use periodic_in_time::{MIN_CYCLES, MIN_READINGS_PER_PERIOD};
 pub use quantity::Quantity;
 pub use range_limited::{BoundSide, RangeLimited};
 pub use reference_instrument::WaveVariable;

@@ -28,6 +28,8 @@ use crate::{
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
 pub const MIN_READINGS_PER_PERIOD: f64 = 10.0;
+/// Turns in a record: a wave of fewer is a slow law of something else.
+pub const MIN_CYCLES: f64 = 3.0;
 
 /// One wave over the time.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,8 +120,6 @@ impl Candidate for PeriodicInTime {
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         const FREQUENCY_COUNT: usize = 8000;
-        /// A wave of fewer turns is a slow law of something else.
-        const MIN_CYCLES: f64 = 3.0;
         const MIN_FITTED_GROUPS: usize = 40;
         let Some([first_s, last_s]) = survey.time_range_s() else { return };
         if survey.group_count() < MIN_FITTED_GROUPS || survey.file_count() > 1 {
