@@ -314,7 +314,7 @@ fn main() -> ExitCode {
         Command::Book => {
             book::render_book().map(|page| trueup_output::write_line_best_effort(page.display()))
         }
-        Command::Doc => api_docs::build_api_docs()
+        Command::Doc => api_docs::build_api_docs(false)
             .map(|page| trueup_output::write_line_best_effort(page.display())),
         Command::Setup => setup::install_all_dependencies(),
     };

@@ -1,12 +1,12 @@
 //! The error of the simulation, its cause, the model extended by it, and the gain.
 //!
-//! [`diagnose`] compares a machine file with measured runs. The residual is searched for physical causes, each a term
+//! [`diagnose()`] compares a machine file with measured runs. The residual is searched for physical causes, each a term
 //! with parameters; a term is added if it explains more than noise with a memory would let any term explain, if it
 //! predicts blocks that were held out, and as long as something is left. The form of the answer is fixed
 //! (`docs/reference.md`, Diagnosis).
 //!
 //! # The flow
-//! [`diagnose`] calls each stage in turn, and each stage only what stands below it:
+//! [`diagnose()`] calls each stage in turn, and each stage only what stands below it:
 //!
 //! ```text
 //! [RunFile], Machine ─► Data         the runs as one table, with what the machine file predicts

@@ -76,7 +76,7 @@ pub struct NamedCauseFits {
 /// these data do not allow.
 ///
 /// # Errors
-/// As those of [`crate::diagnose`].
+/// As those of [`crate::diagnose()`].
 pub fn fit_named_causes(
     machine: &Machine,
     runs: &[RunFile],

@@ -1,7 +1,7 @@
 //! The values of a term with their 95 % intervals, by the names of the table of causes.
 //!
 //! An interval is value ± t·σ, t of Student's distribution for the independent rows less the fitted
-//! values, σ from [`spread`](crate::fit::spread); of a time constant or a period it is the logarithm
+//! values, σ from [`estimate_parameter_covariance`]; of a time constant or a period it is the logarithm
 //! that has it.
 
 use nalgebra::DMatrix;

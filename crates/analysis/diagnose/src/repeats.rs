@@ -140,7 +140,7 @@ impl TargetPositions {
         distance_um
     }
 
-    /// Returns the tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
+    /// Returns the tables that may be tried, as [`TableLaw`]s: a step is the screw's, so that a scale has none.
     pub(crate) fn candidate_table_laws(&self, data: &DataTable) -> Vec<TableLaw> {
         let has = |side: usize| self.readings.iter().any(|reading| reading.side == side);
         let mut laws = vec![TableLaw::Table];

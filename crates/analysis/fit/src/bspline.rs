@@ -25,7 +25,7 @@ pub(crate) const MAX_SPLINE_ORDER: usize = 4;
 /// The values of `order` basis functions.
 pub type BasisValues = [f64; MAX_SPLINE_ORDER];
 
-/// Below this [sine](Banded::min_column_angle_sine) the coefficients are noise of the arithmetic.
+/// Below this [sine](BandedLeastSquares::min_column_angle_sine) the coefficients are noise of the arithmetic.
 const SINGULARITY_TOLERANCE: f64 = 1e-10;
 
 /// Returns the knots of a clamped spline from `first` to `last` with `inner` (rising) between them.
@@ -54,7 +54,7 @@ pub(crate) fn evaluate_basis(knots: &[f64], order: usize, x: f64) -> (usize, Bas
     evaluate_basis_in_span(knots, order, find_knot_span(knots, order, x), x)
 }
 
-/// [`basis`] in a span that is known.
+/// [`evaluate_basis`] in a span that is known.
 fn evaluate_basis_in_span(
     knots: &[f64],
     order: usize,

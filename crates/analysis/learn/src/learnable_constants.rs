@@ -12,7 +12,7 @@
 //! has a place for it; for an axis the file has none.
 //!
 //! A law over a thermometer has one value more where a record has the temperature of the air: the rise over the air that its
-//! part has, in rises that the thermometer shows. It is 1 until the thermometer has moved ([`crate::rise`]).
+//! part has, in rises that the thermometer shows. It is 1 until the thermometer has moved ([`crate::temperature_rise`]).
 
 use serde::{Deserialize, Serialize};
 use toml_edit::{DocumentMut, Item, TableLike, Value};

@@ -101,7 +101,7 @@ impl<'a> WcetAnalysis<'a> {
         self.compute_function_cycles(entry, false)
     }
 
-    /// As [`Self::of`]; `is_kept`: the cache of the flash has its instructions.
+    /// As [`Self::function_cycles`]; `is_kept`: the cache of the flash has its instructions.
     fn compute_function_cycles(&self, entry: FunctionEntry, is_kept: bool) -> u64 {
         if let Some(known) = self.known.borrow().get(&(entry, is_kept)) {
             return *known;

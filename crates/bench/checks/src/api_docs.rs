@@ -24,13 +24,15 @@ struct DocumentedCrate {
     description: String,
 }
 
-/// Documents all crates that a host compiles, every warning an error, and gives the front page.
+/// Documents all crates that a host compiles, every warning an error, and gives the front page. `is_private`: private items too,
+/// whose links lead nowhere unseen otherwise.
 ///
 /// # Errors
 /// cargo cannot be started, a crate has no page, or rustdoc finds something wrong.
-pub fn build_api_docs() -> Result<PathBuf> {
+pub fn build_api_docs(is_private: bool) -> Result<PathBuf> {
     let mut doc = cargo::locked_cargo_command("doc");
     doc.args(["--workspace", "--exclude", "trueup-firmware", "--no-deps", "--all-features"]);
+    doc.args(is_private.then_some("--document-private-items"));
     process::run(doc.env("RUSTDOCFLAGS", "-D warnings"))?;
 
     let mut metadata = cargo::locked_cargo_command("metadata");

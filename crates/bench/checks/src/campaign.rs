@@ -285,7 +285,7 @@ struct MutantOutcomes {
 }
 
 impl MutantOutcomes {
-    /// Returns the lists that cargo-mutants and [`keep`](Self::keep) write into a folder; empty where there is none.
+    /// Returns the lists that cargo-mutants and [`Self::write`] write into a folder; empty where there is none.
     fn read(folder: &Path) -> Self {
         let list = |name: &str| {
             let text = fs::read_to_string(folder.join(name)).unwrap_or_default();

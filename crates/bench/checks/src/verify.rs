@@ -166,7 +166,7 @@ fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
         test_run::run(programs, &["--ignored", "--skip", "campaign_"], &[])
     });
     checks.run_step("documentation", || {
-        api_docs::build_api_docs().map(|_| TestResults::with_passed(1))
+        api_docs::build_api_docs(true).map(|_| TestResults::with_passed(1))
     });
     checks.run_step("the board by the distribution's compiler", || {
         if process::find_on_path("apt-get").is_none() {

@@ -81,7 +81,7 @@ impl Slot {
         }
     }
 
-    /// As [`Self::of`], to change it.
+    /// As [`Self::element_of`], to change it.
     pub(crate) const fn element_of_mut<T>(self, pair: &mut [T; 2]) -> &mut T {
         let [a, b] = pair;
         match self {

@@ -82,7 +82,7 @@ pub struct Node<'a> {
     counter: u8,
     heartbeat: HeartbeatSchedule,
     consumer: HeartbeatConsumer,
-    /// When [`Node::service`] last ran.
+    /// When [`Node::next_service_frame`] last ran.
     serviced: TimestampMs,
     /// The flags of all ticks since then.
     flags_since: OffsetFlags,
@@ -120,7 +120,7 @@ pub struct Node<'a> {
     zero: Option<ZeroOutcome>,
     /// The reference that is offered, and where the one comes from that is in force.
     offer: OfferedReference,
-    /// A `Zero` was refused since [`Node::service`] last ran.
+    /// A `Zero` was refused since [`Node::next_service_frame`] last ran.
     zero_refused: bool,
     /// So was a learned change, and `Control` was not received without one since.
     learned_refused: bool,

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Records are appended to the active half, so that storing one needs no erase, which stalls this
-//! chip for 1 to 2 s. When that half is full they go on in the other, which [`Log::erase_spare_half`] has
+//! chip for 1 to 2 s. When that half is full they go on in the other, which [`FlashLog::erase_spare_half`] has
 //! emptied before, at a moment when a stall does no harm. Sequence numbers rise from 1 over both
 //! halves, so the largest shows which half is active.
 //!

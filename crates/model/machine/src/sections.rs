@@ -1,7 +1,7 @@
 //! The sections of the machine file that name no cause: each has one page, with its type, its keys, and how it is read and
 //! written.
 //!
-//! The causes are built on these types; `[machine]` and `[[term]]`, which hold causes, are in [`crate::file`].
+//! The causes are built on these types; `[machine]` and `[[term]]`, which hold causes, are in [`crate::machine_file`].
 
 pub(crate) mod axis;
 pub(crate) mod inputs;

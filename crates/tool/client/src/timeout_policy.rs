@@ -7,9 +7,9 @@
 //!
 //! | given up after | where |
 //! |---|---|
-//! | [`MIN`], and [`MIN_HEARTBEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
+//! | [`MIN_LISTENING_TIME`], and [`MIN_HEARTBEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
 //! | [`MAX_SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
-//! | [`ERASE_TIMEOUT`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
+//! | [`MAX_ERASE_SILENCE`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
 
 use std::time::{Duration, Instant};
 
@@ -43,7 +43,7 @@ impl TimeoutPolicy {
         Self { looked: now, listened, silent, beats: 0, silence: MAX_SILENCE }
     }
 
-    /// As [`Self::from`], of a bridge that may erase a firmware slot first.
+    /// As [`Self::new`], of a bridge that may erase a firmware slot first.
     pub(crate) fn for_flash_erase(now: Instant) -> Self {
         Self { silence: MAX_ERASE_SILENCE, ..Self::new(now) }
     }

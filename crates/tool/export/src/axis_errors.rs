@@ -1,6 +1,6 @@
 //! The parts of a machine as functions of a position.
 //!
-//! A [`Drive`] is what one drive corrects along its own axis: a pitch table and the backlash, with
+//! A [`DriveErrorModel`] is what one drive corrects along its own axis: a pitch table and the backlash, with
 //! what a diagnosis has added to them. A gantry with two drives on an axis is two of them, because
 //! a CNC that has such an axis has two axes for it, and the beam itself shares the error out in
 //! between. A [`CrossAxisError`] is the error of one axis while another moves, straightness and squareness.

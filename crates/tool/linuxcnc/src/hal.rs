@@ -182,7 +182,7 @@ impl HalComponent {
     /// Returns a pin that this component writes.
     ///
     /// # Errors
-    /// As [`Hal::create_input_pin`].
+    /// As [`Self::create_input_pin`].
     pub(crate) fn create_output_pin<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
         self.create_pin(name, HAL_OUT)
     }

@@ -83,7 +83,7 @@ impl QemuProcess {
     /// The same in a folder that there is already: what an earlier image has left, this one finds.
     ///
     /// # Errors
-    /// As [`Qemu::start`].
+    /// As [`Self::start`].
     pub(crate) fn start_in_folder(
         folder: SharedTempDir,
         image: &Path,

@@ -360,7 +360,7 @@ impl DataTable {
     }
 
     /// Returns the temperature of the part whose thermometer, in `column`, is late, behind a lag as in
-    /// [`Data::lagged`].
+    /// [`Self::lagged_column`].
     pub(crate) fn lagged_part_temperature(
         &self,
         column: &str,

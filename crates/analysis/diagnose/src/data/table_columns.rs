@@ -41,7 +41,7 @@ pub(crate) enum ColumnGroup {
     Temperatures,
     /// Columns that this project does not know.
     Others,
-    /// How hard the spindle heats by each power of its speed, by [`drive`](super::table::drive).
+    /// How hard the spindle heats by each power of its speed, by [`heating_column_name`](super::data_table::heating_column_name).
     Heating,
     /// The rest of the last reversal of the quantity's own axis if it is taken up over a way, for several ways.
     Reversal,

@@ -2,7 +2,7 @@
 //! record of an engaged bridge cannot distinguish from such a factor.
 //!
 //! A reading with an engaged bridge is error + factor·offset. Where rows with and without the offset exist, the factor
-//! is known ([`trueup_machine::applied`]) and is taken out before anything is searched. Where they do not, the answer
+//! is known ([`trueup_machine::applied_offsets`]) and is taken out before anything is searched. Where they do not, the answer
 //! holds with a factor of 1 alone: each of its terms is tried against a factor that is free,
 //!
 //! ```text

@@ -14,7 +14,7 @@
 //! A machine also changes with the days, which parts in the middle do not show: what is expected is the median of ρ and
 //! of what a fit to the first half, and to the first two thirds, predicted of the rest, where the inputs of the rest lie
 //! within theirs; never less than ρ. From the largest of the three on a new day may leave more of what is corrected, as
-//! [`crate::answer::new_day`] says: its zero is its own, its readings are few, or alike. The floor allows for this as
+//! [`FoldVarianceComponents::new_day_factor`] says: its zero is its own, its readings are few, or alike. The floor allows for this as
 //! well, and for the worst two parts.
 //!
 //! All are about the file's own zero; `zero_again` takes the mean of the first three readings of a part off both.

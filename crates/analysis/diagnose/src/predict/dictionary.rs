@@ -12,7 +12,7 @@ const MAX_TERM_AMPLITUDES: usize = 16;
 /// A term at one setting; amplitudes 0.
 pub(super) struct DictionaryEntry {
     pub part: ModelPart,
-    /// Its columns in [`Dictionary::columns`].
+    /// Its columns in the columns of all entries.
     pub columns: std::ops::Range<usize>,
     /// The number of its kind: a correction has one setting of a kind.
     pub kind: usize,

@@ -43,7 +43,7 @@ struct RowGroup {
 /// Returns the circles of `runs`, and what the user should know.
 ///
 /// # Errors
-/// See [`super::fit`].
+/// See [`super::analyse_circles`].
 pub(crate) fn extract_circle_records(
     runs: &[RunFile],
     machine: Option<&Machine>,

@@ -3,7 +3,7 @@
 //!
 //! A target is a position that is meant to be the same: positions nearer to each other than a tenth
 //! of the smallest step of any sweep are one target. A record of more positions than
-//! [`MAX_TARGETS`] is not a list of targets; it is gathered in as many cells of equal width.
+//! [`MAX_UNBINNED_TARGETS`] is not a list of targets; it is gathered in as many cells of equal width.
 //!
 //! Repeats have their number in the column `run`. Without it the j-th arrival at a target in one
 //! direction is of run j; where no position comes again, the j-th sweep in a direction is.
@@ -36,7 +36,7 @@ pub(super) struct PitchReading {
     pub way: usize,
     /// Its run, from 0.
     pub run: usize,
-    /// The feed of its approach, by its place in [`Readings::feeds_mm_per_min`].
+    /// The feed of its approach, by its place in [`PitchReadings::feeds_mm_per_min`].
     pub feed: usize,
     /// The error in µm.
     pub um: f64,

@@ -14,7 +14,7 @@
 //! D = Q₂ᵀ·∂C/∂t,   (DᵀD + λ·diag DᵀD)·δ = DᵀQ₂ᵀy
 //! ```
 //!
-//! Both products fall out of the row-wise rotations of [`BandedLeastSquares`](crate::bspline::Banded).
+//! Both products fall out of the row-wise rotations of [`BandedLeastSquares`].
 
 use nalgebra::{DMatrix, DVector};
 

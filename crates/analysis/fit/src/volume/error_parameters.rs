@@ -1,6 +1,6 @@
 //! The constants of the volume, and how much a unit of each moves the tool tip at a pose.
 //!
-//! Names are those of ISO 230-1 and ISO 230-7. Each error over a position has a line and [forms](super::modes); a straightness has
+//! Names are those of ISO 230-1 and ISO 230-7. Each error over a position has a line and [forms](super::spline_modes); a straightness has
 //! no line, since a slope is a squareness or the alignment of the artefact. An angle counts from its mean over the travel: a
 //! constant angle is a squareness too. The effect of a unit of an angle or of a line of a rotary axis at the tip comes
 //! from the model that predicts, so that both have the same signs and levers.

@@ -65,7 +65,7 @@ pub(crate) fn find_upward_dependencies(root: &Path) -> Result<Vec<String>> {
         .collect())
 }
 
-/// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`LAYERS`] does not name: their
+/// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`CRATE_LAYERS`] does not name: their
 /// arrows are seen by nothing.
 pub(crate) fn find_crates_without_layer(root: &Path) -> Result<Vec<String>> {
     let crates = root.join("crates");

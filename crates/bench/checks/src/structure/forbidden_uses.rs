@@ -9,7 +9,7 @@ use super::source_file::{SourceFile, contains_word};
 const CAMPAIGNS_SOURCE_FOLDER: &str = "crates/bench/campaigns/src/";
 /// The virtual machine tool.
 const TWIN_SOURCE_FOLDER: &str = "crates/tool/twin/src/";
-/// The part of [`CAMPAIGNS`] that scores answers.
+/// The part of [`CAMPAIGNS_SOURCE_FOLDER`] that scores answers.
 const SCORE_SOURCE_FOLDER: &str = "crates/bench/campaigns/src/score/";
 
 /// The folder of a wall, a name that its code may not use, and the files or folders in it that may.

@@ -3,7 +3,7 @@
 //!
 //! A reference is offered where tools may have been touched off with another one since it was taken: its
 //! calibration was loaded again ([`trueup_store::reference`]), or it comes from a saved file. Until the operator
-//! confirms it, declines it ([`CLEAR_REFERENCE_SIGNATURE`](trueup_canopen::dictionary::FORGET)) or sets `Zero`, none is in force, and
+//! confirms it, declines it ([`trueup_canopen::dictionary::CLEAR_REFERENCE_SIGNATURE`]) or sets `Zero`, none is in force, and
 //! nothing is available. A reference is never larger than a correction may be
 //! ([`trueup_core::bridge::Bridge::is_reference_permitted`]), wherever it comes from.
 

@@ -3,7 +3,7 @@
 //! | trait | is read by |
 //! |---|---|
 //! | [`FileRepresentation`] | reader and writer of files |
-//! | [`Law`] | the model: where a cause acts, and what it adds |
+//! | [`PhysicalLaw`] | the model: where a cause acts, and what it adds |
 //! | [`BoardRepresentation`] | compiler, export, and their inverse |
 //! | [`Candidate`] | the search |
 //! | [`Explanation`] | the report |
@@ -16,7 +16,7 @@
 //! ```
 //!
 //! A diagnosis works with the neutral value of a cause, which changes nothing, and with a list of
-//! numbers next to it: first the [nonlinear](Shape::nonlinear_count) ones (a time constant, a period), then
+//! numbers next to it: first the [nonlinear](FitSpec::nonlinear) ones (a time constant, a period), then
 //! amplitudes, which are 0 where there is no effect. [`Candidate::set_values`] puts the two together.
 
 use trueup_core::term::SpeedExponent;

@@ -51,7 +51,7 @@ table! {
 }
 
 table! {
-    /// The keys of one by a temperature: those of [`Heat`], with a lag.
+    /// The keys of one by a temperature: those of heat by a temperature, with a lag.
     struct ColumnDrivenKeys {
         column: String = COLUMN.with_value_type(Column).required();
         um_per_c: f64 = UM_PER_C.required();

@@ -25,7 +25,7 @@ pub struct Term {
 }
 
 /// Returns the terms in the order in which they act, each with its number in the file, from 0: by their
-/// [stages](crate::compile_effect::PredictionStage), of one stage as they stand in the file.
+/// [stages](crate::effect::PredictionStage), of one stage as they stand in the file.
 #[must_use]
 pub(crate) fn sorted_by_stage(terms: &[Term]) -> Vec<(usize, &Term)> {
     let mut ordered: Vec<(usize, &Term)> = terms.iter().enumerate().collect();

@@ -1,7 +1,7 @@
 //! The terms of a diagnosis, in `f64`: each a change of the prediction p of one quantity.
 //!
 //! Some correct a constant of the model. They are folded into the machine before it is stepped
-//! ([`corrected`]); the others take p and give a new one row by row, in the order of their stages, and
+//! ([`apply_constant_terms`]); the others take p and give a new one row by row, in the order of their stages, and
 //! constants are added to what that gives. The formulas and the order stand on the pages of the
 //! [causes](crate::effect). A value that a term needs and that is
 //! missing (NaN) makes p NaN.

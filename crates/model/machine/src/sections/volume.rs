@@ -2,7 +2,7 @@
 //!
 //! Angles are those of ISO 230-1: `eax` is the angle about A (X) of the motion along X. Location errors of
 //! rotary axes are those of ISO 230-7: `exoc` shifts the line of C along X, `eaoc` turns it about A. The chain
-//! is written in the letters of ISO 10791-6 ([`Chain`]).
+//! is written in the letters of ISO 10791-6 ([`AxisChain`]).
 
 use super::{
     AxisChain,
