@@ -70,10 +70,10 @@ fn main() -> ! {
     read_file(c"vectors", &mut number);
 
     let mut text = String::<4096>::new();
-    measure_tick(&calibration, ["tick", "hear", "millisecond", "live"], COSTS, &mut text);
-    let names = ["tick_by_tool", "hear_by_tool", "millisecond_by_tool", "live_by_tool"];
+    measure_tick(&calibration, ["tick", "receive", "millisecond", "live"], COSTS, &mut text);
+    let names = ["tick_by_tool", "receive_by_tool", "millisecond_by_tool", "live_by_tool"];
     measure_tick(&by_tool, names, COSTS, &mut text);
-    let names = ["tick_volume", "hear_volume", "millisecond_volume", "live_volume"];
+    let names = ["tick_volume", "receive_volume", "millisecond_volume", "live_volume"];
     measure_tick(&with_volumetric_errors(&calibration), names, COSTS, &mut text);
     measure_parts(&calibration, COSTS, &mut text);
     for curve in curves.straightness.iter().filter(|curve| !curve.is_empty()) {
@@ -160,18 +160,18 @@ fn measure_tick(
         run.tick();
     }
     let mut live = 0;
-    for ((tick, hear), both) in ticks.iter_mut().zip(received.iter_mut()).zip(both.iter_mut()) {
+    for ((tick, receive), both) in ticks.iter_mut().zip(received.iter_mut()).zip(both.iter_mut()) {
         run.draw_vector();
-        *hear = measure_net_call_cost(&mut || run.receive());
+        *receive = measure_net_call_cost(&mut || run.receive());
         *tick = measure_net_call_cost(&mut || {
             black_box(&run.tick());
         });
-        *both = *hear + *tick;
+        *both = *receive + *tick;
         live += u32::from(run.node().last_output().quality == OffsetQuality::Live);
     }
-    let [of_tick, of_hear, of_both, of_live] = names;
+    let [of_tick, of_receive, of_both, of_live] = names;
     write_costs(text, of_tick, ticks);
-    write_costs(text, of_hear, received);
+    write_costs(text, of_receive, received);
     write_costs(text, of_both, both);
     writeln!(text, "{of_live} {live} {TICK_COUNT}").expect("space");
 }

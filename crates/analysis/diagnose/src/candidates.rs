@@ -48,7 +48,7 @@ pub(crate) fn non_interaction_candidates(
     residual: &[f64],
 ) -> Vec<CandidateTerm> {
     let mut all = all_candidates(problem, model, residual);
-    all.retain(|candidate| !candidate.kind.is_interaction());
+    all.retain(|candidate| !candidate.kind.is_flexible());
     all
 }
 

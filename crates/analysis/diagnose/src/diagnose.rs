@@ -104,7 +104,7 @@ pub fn diagnose_with_options(
     if answer
         .judged
         .iter()
-        .any(|judgement| judgement.cause().is_interaction() && !judgement.doubts.is_empty())
+        .any(|judgement| judgement.cause().is_flexible() && !judgement.doubts.is_empty())
     {
         answer = search_and_judge_terms(&data, SearchScope::Simple, progress);
     }

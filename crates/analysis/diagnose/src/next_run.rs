@@ -34,7 +34,7 @@ use spindle_run_candidates::candidate_spindle_runs;
 
 /// Returns the expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
 /// is expected to be G scatters by 2√G, so that G − 2·z·√G is that much, z the one-sided quantile.
-fn sufficient_separation_gap() -> f64 {
+fn sufficient_likelihood_ratio_statistic() -> f64 {
     let z = t_quantile(CONFIDENCE_LEVEL, f64::from(u16::MAX));
     (z + (z * z + STRONG_EVIDENCE_BIC_DIFFERENCE).sqrt()).powi(2)
 }
@@ -228,7 +228,7 @@ pub(crate) fn find_next_run(
             let [one, other] = [a, b].map(|n| foreseen[*n].next.minutes);
             one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))
         };
-        let suffices = sufficient_separation_gap();
+        let suffices = sufficient_likelihood_ratio_statistic();
         let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= suffices).min_by(shorter);
         let most = (0..gaps.len()).max_by(|a, b| gaps[*a].gap.total_cmp(&gaps[*b].gap));
         let Some(most) = most else { continue };

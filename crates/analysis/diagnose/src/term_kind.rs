@@ -265,7 +265,7 @@ impl TermKind {
     }
 
     /// Returns whether it takes two recorded inputs together.
-    pub(crate) fn is_interaction(&self) -> bool {
+    pub(crate) fn is_flexible(&self) -> bool {
         self.cause().is_some_and(Effect::is_flexible)
     }
 

@@ -85,7 +85,7 @@ fn both_are_found(is_axis: bool) {
     let (mut count, mut right, mut wrong) = (0, 0, 0);
     let is_asked = |CausePair(a, b): &CausePair| {
         let drawn = draw_test_case_with_cause_pair(*a, *b, EFFECT_TO_NOISE_RATIO, 0)
-            .expect("they stand beside each other");
+            .expect("both can be drawn together");
         is_of_axis(&drawn) == is_axis
     };
     for pair in CausePair::all_compatible().into_iter().filter(is_asked) {

@@ -44,7 +44,7 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
             continue;
         }
         let challenge =
-            draw_test_case_with_known_term(a, b, 3.0, 1).expect("they stand beside each other");
+            draw_test_case_with_known_term(a, b, 3.0, 1).expect("both can be drawn together");
         // A cause that no file can have yet is in no second diagnosis.
         let Ok(predicted) = predicted(&challenge) else { continue };
         tried += 1;

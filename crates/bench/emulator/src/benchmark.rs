@@ -95,7 +95,7 @@ pub fn run_benchmark(vectors: u32) -> Result<BenchmarkReport> {
     let json = json!({
         "tick_instructions": spread("tick")?,
         "tick_by_tool_instructions": spread("tick_by_tool")?,
-        "hear_instructions": spread("hear")?,
+        "receive_instructions": spread("receive")?,
         "millisecond_instructions": spread("millisecond")?,
         "millisecond_volume_instructions": spread("millisecond_volume")?,
         "parts": {

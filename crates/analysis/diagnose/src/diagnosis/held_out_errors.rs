@@ -353,6 +353,9 @@ mod tests {
         assert!((figures.reduction - (1.0 - 0.5_f64.sqrt())).abs() < 1e-12, "{figures:?}");
         assert!((figures.after_um - 2.0_f64.sqrt()).abs() < 1e-12, "{figures:?}");
         assert!((figures.reduction_floor95 - 0.1).abs() < 1e-12, "{figures:?}");
+        // Rests that were predicted better than the parts promise no more.
+        let better = sums.error_reduction(0.0, &[0.1, 0.2]);
+        assert!((better.reduction - 0.5).abs() < 1e-12, "{better:?}");
     }
 
     /// ρ = ¼ is odds of ⅓ of what is left to what is corrected; of twice as much ⅔, ρ = 0.4.

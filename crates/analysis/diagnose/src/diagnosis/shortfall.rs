@@ -128,8 +128,7 @@ impl Shortfall {
 
 impl GrossErrorRows {
     /// Returns the fewest of `rows`, each with what is left of it before and after in µm, without which the rest keeps the
-    /// `floor`; none where they are more than a few
-    /// readings.
+    /// `floor`; none where they are more than gross readings may be ([`MAX_OUTLIER_FRACTION`]).
     fn find_minimal_set(
         hold_out: &HoldOut<'_>,
         test: &DataTable,

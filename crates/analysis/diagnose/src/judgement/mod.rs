@@ -171,7 +171,7 @@ pub(crate) fn judge_terms(problem: &FitProblem, found: &SearchOutcome) -> Vec<Te
 /// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what
 /// takes two inputs together.
 fn find_equivalent_interaction(case: &JudgementContext<'_>, cause: &TermKind) -> Option<TermKind> {
-    if !cause.is_interaction() {
+    if !cause.is_flexible() {
         return None;
     }
     // Several terms over one column make up a law that has no form here.

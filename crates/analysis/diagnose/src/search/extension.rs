@@ -111,7 +111,7 @@ pub(crate) fn fit_replacements(
 ) -> TermReplacements {
     let reduced = fit(problem, &without_term(problem, &fitted.model, cause), None);
     // Of two that do as well the one that takes fewer inputs is the answer.
-    let mut candidates = match cause.is_interaction() {
+    let mut candidates = match cause.is_flexible() {
         true => all_candidates(problem, &reduced.model, &reduced.residual),
         false => single_input_candidates(problem, &reduced.model, &reduced.residual),
     };
@@ -161,7 +161,7 @@ fn with_hit(model: &Model, hit: &ScanHit) -> Model {
     }
     // The zero of what is read together with another input is arbitrary, and a parameter of it.
     let is_constant = |part: &ModelPart| part.kind.cause().is_some_and(Effect::is_constant);
-    if hit.part.kind.is_interaction()
+    if hit.part.kind.is_flexible()
         && hit.part.kind.has_reference()
         && model.parts.iter().any(is_constant)
     {

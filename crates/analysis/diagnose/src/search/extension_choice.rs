@@ -77,7 +77,7 @@ impl<'s> BaselineModel<'s> {
         let before_um = rms(&self.left_out);
         let is_relevant = before_um - left_out_um > self.search.relevant_um;
         // What is one of very many must predict better by more than what counts as equal.
-        let is_clear = !cause.is_interaction()
+        let is_clear = !cause.is_flexible()
             || MAX_EQUIVALENT_RMS_RATIO * left_out_um < before_um
                 && bic + self.search.interaction_penalty() < self.search.bic();
         let is_gain = reduction.is_gain && is_relevant && is_clear;
@@ -198,7 +198,7 @@ fn find_first_predictive_pair(
     let is_relevant = search.fitted.rms() - first.fitted.rms() > search.relevant_um;
     if first.is_gain
         || !is_relevant
-        || first.cause.is_interaction()
+        || first.cause.is_flexible()
         || first.bic >= search.bic() - STRONG_EVIDENCE_BIC_DIFFERENCE
     {
         return None;

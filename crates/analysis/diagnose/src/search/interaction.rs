@@ -36,7 +36,7 @@ pub(crate) fn fit_interaction_replacements<'k>(
         model.parts.retain(|part| !is_of_it(&part.kind));
         let base = fit(problem, &model, None);
         let mut candidates = all_candidates(problem, &base.model, &base.residual);
-        candidates.retain(|candidate| candidate.kind.is_interaction() && is_of_it(&candidate.kind));
+        candidates.retain(|candidate| candidate.kind.is_flexible() && is_of_it(&candidate.kind));
         fit_extensions(problem, &base, &candidates, MAX_INTERACTION_REPLACEMENTS)
     });
     alone.collect()
@@ -53,9 +53,8 @@ impl Search<'_> {
     /// Returns whether a cause takes two inputs together and a term of the model that does so reads its column: several
     /// on one column make up a law that has no form here.
     pub(super) fn has_interaction_on_column(&self, cause: &TermKind) -> bool {
-        let is_of_it =
-            |there: &TermKind| there.is_interaction() && there.column() == cause.column();
-        cause.is_interaction() && self.added.iter().any(|term| is_of_it(&term.cause))
+        let is_of_it = |there: &TermKind| there.is_flexible() && there.column() == cause.column();
+        cause.is_flexible() && self.added.iter().any(|term| is_of_it(&term.cause))
     }
 
     /// Returns whether an extension takes two inputs together and takes back what another term adds: two that are
@@ -64,7 +63,7 @@ impl Search<'_> {
         let effect = |kind: &TermKind| centred_effect(self.problem, &extension.fitted, kind);
         let others = extension.fitted.model.parts.iter().map(|part| &part.kind);
         let mut others = others.filter(|kind| **kind != extension.cause && kind.is_additive());
-        extension.cause.is_interaction() && {
+        extension.cause.is_flexible() && {
             let own = effect(&extension.cause);
             others.any(|other| effects_cancel(&own, &effect(other)))
         }
@@ -130,7 +129,7 @@ impl Search<'_> {
         };
         let all = all_candidates(self.problem, &model, &self.fitted.residual);
         let of_both = all.into_iter().filter(|candidate| {
-            candidate.kind.is_interaction()
+            candidate.kind.is_flexible()
                 && columns.iter().all(|column| reads(&candidate.kind, column))
         });
         let fitted = of_both.map(|candidate| {

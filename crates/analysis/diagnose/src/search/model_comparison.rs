@@ -24,8 +24,8 @@ pub(crate) const STRONG_EVIDENCE_BIC_DIFFERENCE: f64 = 6.0;
 /// A model that leaves more than this times as much on held-out blocks or a hold-out (RMS) does not predict as well.
 pub(crate) const MAX_EQUIVALENT_RMS_RATIO: f64 = 1.0 + EQUIVALENCE_TOLERANCE;
 
-/// What is identified leaves at most this many times the squares, where it was not fitted, that it leaves where it was: a
-/// law that is right leaves (n + k)/(n − k) times as much, twice at three independent rows for a value.
+/// A term is identified if held-out data leave at most this many times the mean square of the fitted data: a law that is right
+/// leaves (n + k)/(n − k) times as much, twice at three independent rows for a value.
 pub(crate) const MAX_HELD_OUT_SQUARES_RATIO: f64 = 2.0;
 
 /// The share beyond which something is the larger part: of an error, of a distance, of what is explained or taken back.

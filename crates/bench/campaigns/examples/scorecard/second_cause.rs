@@ -137,7 +137,7 @@ pub fn run(words: &[String]) -> ExitCode {
         if is_selected(a.name(), &name) {
             let drawn = |seed| {
                 draw_test_case_with_known_term(a, b, EFFECT_TO_NOISE_RATIO, seed)
-                    .expect("they stand beside each other")
+                    .expect("both can be drawn together")
             };
             count_row(&mut sum, name, score_draws(seeds.clone(), &drawn));
         }

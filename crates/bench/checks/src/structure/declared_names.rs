@@ -44,7 +44,7 @@ pub(super) fn find_declared_names_in_file(source: &SourceFile) -> Vec<DeclaredNa
         }
         let words: Vec<&str> = text
             .split(|character: char| !is_identifier_char(character))
-            .filter(|identifier| !identifier.is_empty())
+            .filter(|identifier| !identifier.is_empty() && *identifier != "mut")
             .collect();
         let declared = words.windows(2).find_map(|pair| {
             let kind = ITEM_KEYWORDS.into_iter().find(|kind| *kind == pair[0])?;
@@ -53,7 +53,8 @@ pub(super) fn find_declared_names_in_file(source: &SourceFile) -> Vec<DeclaredNa
                 .then(|| (kind, pair[1].to_owned()))
         });
         let is_item = declared.as_ref().is_some_and(|(kind, name)| {
-            text.find(&format!("{kind} {name}")).is_some_and(|at| {
+            let found = text.find(&format!("{kind} {name}"));
+            found.or_else(|| text.find(&format!("{kind} mut {name}"))).is_some_and(|at| {
                 let before = &text[..at];
                 before.split_whitespace().all(is_modifier)
             })
@@ -108,7 +109,8 @@ mod tests {
     fn items_are_names_and_uses_are_not() {
         let text = "pub(crate) const fn lag() {}\nstruct Heat;\nlet x: *const u8 = f;\n\
                     use std::fn_name;\n// fn comment() {}\n#[cfg(test)]\nmod tests { fn of_test() {} }\n\
-                    const _: () = ();\n#[test]\nfn it_is() {}\n    pub fn step(&self) {}\nstatic TABLE: [u8; 2] = [0; 2];\n";
+                    const _: () = ();\n#[test]\nfn it_is() {}\n    pub fn step(&self) {}\nstatic TABLE: [u8; 2] = [0; 2];\n\
+                    static mut COUNT: u8 = 0;\n";
         let found: Vec<_> = find_declared_names_in_file(&SourceFile::new("x.rs", text))
             .into_iter()
             .map(|name| (name.kind, name.name, name.place))
@@ -118,6 +120,7 @@ mod tests {
             ("struct", "Heat", "x.rs:2"),
             ("fn", "step", "x.rs:11"),
             ("static", "TABLE", "x.rs:12"),
+            ("static", "COUNT", "x.rs:13"),
         ];
         let expected: Vec<_> =
             expected.map(|(kind, name, place)| (kind, name.to_owned(), place.to_owned())).into();
