@@ -16,7 +16,7 @@ mod touches;
 use std::{
     borrow::Cow,
     collections::BTreeMap,
-    fs,
+    fs, mem,
     path::Path,
     thread,
     time::{Duration, Instant},
@@ -79,9 +79,6 @@ travel_mm = [0.0, 2500.0]
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
 const DWELL_S: f64 = 0.4;
-/// The indicator is read once the joints have stood for this many servo cycles: a loaded computer loses most of a
-/// dwell.
-const SETTLED: u32 = 2;
 /// A reading comes within this many seconds of the one before.
 const TIMEOUT_S: u64 = 30;
 
@@ -139,10 +136,11 @@ fn measure(
         .map(|name| (*name, Instrument::new(&scenario.instrument, name, 1)))
         .collect();
     begin_and_pass_the_stop(cnc, cycles, &program.0)?;
-    let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0, None);
+    let (mut was_there, mut began_s) = (false, None);
     let mut next = rows.next();
     let mut silent_s = 0.0;
-    let mut stands = Vec::new();
+    let (mut before, mut stands) = ([f64::NAN; 3], Vec::new());
+    let moves = plan.extent_mm() != [None; 3];
     loop {
         let [x, y, z, speed] = cycles.next()?;
         let position_mm = [x, y, z];
@@ -151,17 +149,13 @@ fn measure(
         if speed > 0.0 && began_s.is_none() {
             began_s = Some(machine.time_s());
         }
-        stood = if position_mm == before { stood + 1 } else { 0 };
-        before = position_mm;
-        if stood == SETTLED {
-            stands.push((position_mm, machine.axes().directions()));
+        if position_mm == before && stands.last() != Some(&position_mm) {
+            stands.push(position_mm);
         }
+        before = position_mm;
         silent_s += 0.001;
         let Some((row, reading)) = next else { break };
-        let is_there = if plan.extent_mm() == [None; 3] {
-            // Nothing moves: the clock says when.
-            began_s.is_some_and(|began| machine.time_s() - began >= reading.dwelt_s * factor)
-        } else {
+        let is_due = if moves {
             let directions = machine.axes().directions();
             let is_at = |axis: usize| {
                 reading.position_mm[axis].is_none_or(|mm| {
@@ -169,10 +163,16 @@ fn measure(
                         && f64::from(reading.direction[axis]) == directions[axis]
                 })
             };
-            // Once for each time that it stands: the reading is due in one cycle alone.
-            (0..3).all(is_at) && stood == SETTLED
+            let is_there = (0..3).all(is_at);
+            let was_there = mem::replace(&mut was_there, is_there);
+            // Once for each time that it comes there. A dwell is by the wall's clock, and servo cycles are late on a
+            // loaded computer: the one in which the joints arrive may be all that is left of it.
+            is_there && !was_there
+        } else {
+            // Nothing moves: the clock says when.
+            began_s.is_some_and(|began| machine.time_s() - began >= reading.dwelt_s * factor)
         };
-        if is_there {
+        if is_due {
             let began_s = began_s.unwrap_or(0.0);
             let cells = read(&mut machine, &mut instruments, (&names, row), began_s, position_mm);
             filled += &(cells.context("a column that the machine does not have")?.join(",") + "\n");
