@@ -40,6 +40,7 @@ const SHOWN: &[&str] = &[
     "168 MHz serial_dma_progress",
     "168 MHz listen",
     "168 MHz modbus_line",
+    "168 MHz service",
     "168 MHz transmit",
     "144 MHz sample",
     "144 MHz serial_receive",

@@ -78,7 +78,7 @@ travel_mm = [0.0, 2500.0]
 /// Standard deviation of the indicator in µm.
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
-const DWELL_S: f64 = 0.4;
+const DWELL_S: f64 = 0.1;
 /// A reading comes within this many seconds of the one before.
 const TIMEOUT_S: u64 = 30;
 

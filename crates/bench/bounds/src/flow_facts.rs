@@ -163,6 +163,7 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("VolumetricErrorModel::compute_workpiece_error", "", AtMost(2), "two rotary axes"),
     // The wire.
     loop_bound("e2e::compute_crc::{{closure}}", "", AtMost(8), "the bytes of a frame"),
+    loop_bound("e2e::continue_crc", "", AtMost(7), "`SEGMENT_BYTES`, `canopen/src/sdo.rs`"),
     loop_bound("e2e::compute_crc", "", AtMost(32), "the registers of a block of a PLC"),
     loop_bound(
         "server::checksum",
@@ -204,12 +205,6 @@ const LOOP_BOUNDS: &[LoopBound] = &[
         "",
         Together(20),
         "the codes of a block, `CODES_PER_TICK`",
-    ),
-    loop_bound(
-        "sdo::block_download::BlockDownloadState::append_bytes",
-        "",
-        AtMost(7),
-        "a segment of at most seven bytes",
     ),
     loop_bound("sdo::number_from_bytes", "", AtMost(4), "a number of at most four bytes"),
     // The log.

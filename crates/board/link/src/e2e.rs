@@ -55,6 +55,19 @@ pub fn compute_crc(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]
     digest.finalize()
 }
 
+/// Returns the CRC over more bytes, by the polynomial of the profile: 0x1021, not reflected, no final XOR. From 0 it is the
+/// one of block transfers (CiA 301, 7.2.4.3.16).
+///
+/// ```
+/// assert_eq!(trueup_link::e2e::continue_crc(0, b"123456789"), 0x31C3);
+/// ```
+#[must_use]
+pub fn continue_crc(crc: u16, bytes: &[u8]) -> u16 {
+    let mut digest = CRC.digest_with_initial(crc);
+    digest.update(bytes);
+    digest.finalize()
+}
+
 /// Returns whether a frame is whole and was sent under its identifier, whatever its counter.
 #[must_use]
 pub fn has_valid_crc(frame: &Frame) -> bool {

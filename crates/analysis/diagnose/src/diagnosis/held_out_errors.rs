@@ -13,9 +13,9 @@
 //!
 //! A machine also changes with the days, which parts in the middle do not show: what is expected is the median of ρ and
 //! of what a fit to the first half, and to the first two thirds, predicted of the rest, where the inputs of the rest lie
-//! within theirs; never less than ρ. From the largest of the three on a new day may leave more of what is corrected, as
-//! [`FoldVarianceComponents::new_day_factor`] says: its zero is its own, its readings are few, or alike. The floor allows for this as
-//! well, and for the worst two parts.
+//! within theirs; never less than ρ with a zero that goes on as it went from part to part. From the largest of the three on
+//! a new day may leave more of what is corrected, as [`FoldVarianceComponents::new_day_factor`] says: its zero is its own,
+//! its readings are few, or alike. The floor allows for this as well, and for the worst two parts.
 //!
 //! All are about the file's own zero; `zero_again` takes the mean of the first three readings of a part off both.
 
@@ -200,8 +200,9 @@ impl FoldMeanSquares {
         let count = self.before.len() as f64;
         let Some(ratio) = self.mean_square_ratio(noise) else { return ErrorReduction::default() };
         let [before, _] = self.noise_corrected_mean_squares(noise);
-        // No more than the parts gave, however well the rests were predicted.
-        let expected = median(&mut [&[ratio], later].concat()).max(ratio);
+        // No more than the parts gave, however well the rests were predicted; and the zero goes on.
+        let next = new_day_ratio(ratio, self.left.expected_new_day_factor(noise));
+        let expected = median(&mut [&[ratio], later].concat()).max(next);
         let off = self.before.iter().zip(&self.after).map(|(b, a)| {
             let [b, a] = [b - noise, a - noise];
             (a - ratio * b).powi(2)
@@ -340,9 +341,11 @@ mod tests {
     fn a_zero_that_shifts_from_part_to_part_lowers_the_floor() {
         let left = FoldVarianceComponents::new(&[1.0, -1.0], &[0, 1], 0.0);
         let sums = FoldMeanSquares { left, ..still(&[100.0; 2], &[1.0; 2]) };
-        let floor = sums.error_reduction(0.0, &[]).reduction_floor95;
-        let odds: f64 = 161.448 * 1.25 / 99.0;
-        assert!((floor - (1.0 - (odds / (1.0 + odds)).sqrt())).abs() < 1e-3, "{floor}");
+        let figures = sums.error_reduction(0.0, &[]);
+        let reduction = |odds: f64| 1.0 - (odds / (1.0 + odds)).sqrt();
+        let floor = figures.reduction_floor95;
+        assert!((floor - reduction(161.448 * 1.25 / 99.0)).abs() < 1e-3, "{floor}");
+        assert!((figures.reduction - reduction(1.25 / 99.0)).abs() < 1e-9, "{figures:?}");
     }
 
     /// ρ = ¼ of the parts, ½ and 0.81 of the rests: the median is ½, and no floor is above what the worst rest gave.

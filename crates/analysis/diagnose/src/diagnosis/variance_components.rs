@@ -50,14 +50,24 @@ impl FoldVarianceComponents {
     /// Returns how many times as much as these parts a new day may leave, 95 % of days; `noise` is no part of it, a mean
     /// square in µm².
     pub(super) fn new_day_factor(&self, kept: f64, noise: f64) -> f64 {
-        let Self { zero, freedom, parts, .. } = *self;
-        let rest = (self.rest - noise).max(0.0);
-        if zero + rest <= 0.0 {
-            return 1.0;
-        }
+        let Self { freedom, parts, .. } = *self;
         let of_zero = f_quantile(kept, 1.0, parts - 1.0) * step_variance_ratio(parts);
         let of_rest = f_quantile(kept, freedom / parts, freedom - freedom / parts);
-        let zero = if zero > 0.0 { of_zero * zero } else { 0.0 };
+        self.combine(of_zero, of_rest, noise)
+    }
+
+    /// Returns the same as it is expected: the zero goes on, the rest is that of a part; of one part nothing is known.
+    pub(super) fn expected_new_day_factor(&self, noise: f64) -> f64 {
+        self.combine(step_variance_ratio(self.parts).max(1.0), 1.0, noise)
+    }
+
+    /// Returns `of_zero` times the zero and `of_rest` times the rest without `noise`, over both.
+    fn combine(&self, of_zero: f64, of_rest: f64, noise: f64) -> f64 {
+        let rest = (self.rest - noise).max(0.0);
+        if self.zero + rest <= 0.0 {
+            return 1.0;
+        }
+        let zero = if self.zero > 0.0 { of_zero * self.zero } else { 0.0 };
         (zero + of_rest * rest) / (self.zero + rest)
     }
 }
@@ -156,5 +166,15 @@ mod tests {
         let of_zero = 18.5128 * 14.0 / 9.0;
         assert!((left.new_day_factor(0.95, 9.0) - of_zero).abs() < 1e-3);
         assert!(left.new_day_factor(0.95, 0.0) < 0.11 * of_zero + 1.3);
+    }
+
+    /// By hand: a zero of 1 µm² from three parts goes on by 14/9, the rest of 9 µm² stays; of one part nothing goes on.
+    #[test]
+    fn the_zero_is_expected_to_go_on() {
+        let left = FoldVarianceComponents { zero: 1.0, rest: 9.0, freedom: 300.0, parts: 3.0 };
+        assert!((left.expected_new_day_factor(0.0) - (14.0 / 9.0 + 9.0) / 10.0).abs() < 1e-12);
+        assert!((left.expected_new_day_factor(9.0) - 14.0 / 9.0).abs() < 1e-12);
+        let one = FoldVarianceComponents { parts: 1.0, ..left };
+        assert!((one.expected_new_day_factor(0.0) - 1.0).abs() < 1e-12);
     }
 }

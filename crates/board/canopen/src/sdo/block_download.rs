@@ -4,6 +4,8 @@
 //!
 //! The bytes of the last segment count only once the end has stated how many of them are meant; they are held until then.
 
+use trueup_link::e2e::continue_crc;
+
 use super::{
     AbortCode, EntryContent, ObjectAccess, ObjectAddress, SEGMENT_BYTES, SEGMENTS_PER_BLOCK,
     SdoServer, TransferState, encode_message, find_entry,
@@ -26,14 +28,6 @@ pub(super) struct BlockDownloadState {
     last: Option<[u8; SEGMENT_BYTES]>,
     /// The block is whole, and its answer waits until there is room for the next one.
     is_answer_due: bool,
-}
-
-/// CRC-16 by 0x1021, start 0, highest bit first (CiA 301, 7.2.4.3.16).
-pub(super) fn update_crc(crc: u16, byte: u8) -> u16 {
-    (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
-        let shifted = crc << 1;
-        if crc >> 15 == 0 { shifted } else { shifted ^ 0x1021 }
-    })
 }
 
 impl BlockDownloadState {
@@ -60,7 +54,7 @@ impl BlockDownloadState {
         if self.announced.is_some_and(|announced| self.length > announced) {
             return Err(AbortCode::Length);
         }
-        self.crc = self.crc.map(|crc| bytes.iter().copied().fold(crc, update_crc));
+        self.crc = self.crc.map(|crc| continue_crc(crc, bytes));
         objects.append(what, bytes)
     }
 }

@@ -1,12 +1,12 @@
 //! The client of a block download: a domain goes out in blocks, of which each is answered as a whole.
 
-use trueup_link::frame::Frame;
+use trueup_link::{e2e::continue_crc, frame::Frame};
 
 use super::{
     ObjectAddress, SdoClientError, TransferProgress, abort_error, matches_object, request_frame,
     response_bytes,
 };
-use crate::sdo::{SEGMENT_BYTES, block_download::update_crc, encode_message, saturate_to_u8};
+use crate::sdo::{SEGMENT_BYTES, encode_message, saturate_to_u8};
 
 /// Where a transfer is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,7 +127,7 @@ impl<'d> BlockDownload<'d> {
             rest => rest.unwrap_or(0),
         };
         let unused = saturate_to_u8(SEGMENT_BYTES).saturating_sub(saturate_to_u8(last));
-        let crc = if self.has_crc { self.data.iter().copied().fold(0, update_crc) } else { 0 };
+        let crc = if self.has_crc { continue_crc(0, self.data) } else { 0 };
         let [low, high] = u16::to_le_bytes(crc);
         request_frame([0xC1 | unused << 2, low, high, 0, 0, 0, 0, 0])
     }
