@@ -10,6 +10,7 @@
 
 use trueup_machine::model::Lag;
 use trueup_numerics::{
+    f_quantile,
     least_squares::{
         QrSolution, SeparableModel, SolverOptions, fit_separable, separable::geometric_sequence,
     },
@@ -20,6 +21,8 @@ use crate::{pooled_rows, report::FitParameter};
 
 /// Points of the grid over the lag.
 const LAG_GRID_POINTS: usize = 25;
+/// A lag is needed beyond this probability of chance.
+const LAG_CONFIDENCE_LEVEL: f64 = 0.99;
 /// On held-out rows a lag must be better by this share to be kept.
 const MIN_RELATIVE_LAG_GAIN: f64 = 0.02;
 
@@ -60,6 +63,24 @@ pub(crate) struct LaggedFit {
     pub(crate) held_out: Option<Vec<f64>>,
     /// A warning about the lag.
     pub(crate) warning: Option<String>,
+}
+
+impl LaggedFit {
+    /// Returns whether its further constants leave less of the same rows than `simpler` by more than chance does with this
+    /// probability (F).
+    pub(crate) fn is_better_than_by_chance(&self, simpler: &Self, confidence: f64) -> bool {
+        let wider = pooled_rows::autocorrelation_inflation_factor(&self.residuals);
+        let squares = |fit: &Self| {
+            fit.residuals.iter().filter(|um| !um.is_nan()).map(|um| um * um).sum::<f64>()
+        };
+        let constants =
+            |fit: &Self| fit.coefficients.len() as f64 + f64::from(u8::from(fit.lag_s > 0.0));
+        let more = (constants(self) - constants(simpler)).max(1.0);
+        let rows = self.residuals.iter().filter(|um| !um.is_nan()).count() as f64;
+        let degrees = rows - constants(self);
+        let ratio = (squares(simpler) - squares(self)) / more / (squares(self) / degrees);
+        ratio > wider * wider * f_quantile(confidence, more, degrees)
+    }
 }
 
 impl<'a> LaggedRegression<'a> {
@@ -160,7 +181,9 @@ impl<'a> LaggedRegression<'a> {
         let (in_plain, in_lagged) =
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
-        if lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms) {
+        if lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms)
+            || !lagged.is_better_than_by_chance(&plain, LAG_CONFIDENCE_LEVEL)
+        {
             let mut plain = plain;
             if let (Some(in_plain), Some(in_lagged)) = (in_plain, in_lagged)
                 && in_lagged < 0.8 * in_plain

@@ -50,7 +50,7 @@ use crate::{
     report::{FitDetail, FitParameter, FitReport, ResidualStatistics},
 };
 
-/// Two T₀ differ, or a table is needed, beyond this probability of chance.
+/// Two T₀ differ, or a table or both terms are needed, beyond this probability of chance.
 const CONFIDENCE_LEVEL: f64 = 0.999;
 
 /// The terms, the column and the form of the fit.
@@ -256,7 +256,7 @@ impl ThermalData {
         requested: Option<ThermalMode>,
         groups: Option<&[usize]>,
     ) -> Result<(ThermalMode, LaggedFit, f64), InputFileError> {
-        /// A mode with more terms must be better on held-out rows by this share.
+        /// A mode with more terms must be better by more than chance, and on held-out rows by this share.
         const MIN_RELATIVE_MODE_GAIN: f64 = 0.05;
         let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
         let modes: Vec<ThermalMode> = match requested {
@@ -281,7 +281,11 @@ impl ThermalData {
                 let size = fitted.coefficients[at].abs();
                 size > wider * fitted.coefficient_half_width(at)
             };
-            if mode == ThermalMode::Both && requested.is_none() && !(is_there(1) && is_there(3)) {
+            let is_chance = |(_, _, simpler, _): &(f64, ThermalMode, LaggedFit, f64)| {
+                !fitted.is_better_than_by_chance(simpler, CONFIDENCE_LEVEL)
+            };
+            let is_there = || is_there(1) && is_there(3) && !best.as_ref().is_some_and(is_chance);
+            if mode == ThermalMode::Both && requested.is_none() && !is_there() {
                 continue;
             }
             let held_out = fitted.held_out.as_deref().and_then(ResidualStatistics::from_residuals);
