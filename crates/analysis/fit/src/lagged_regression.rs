@@ -181,18 +181,23 @@ impl<'a> LaggedRegression<'a> {
         let (in_plain, in_lagged) =
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
-        if lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms)
-            || !lagged.is_better_than_by_chance(&plain, LAG_CONFIDENCE_LEVEL)
-        {
+        let is_worse = lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms);
+        if is_worse || !lagged.is_better_than_by_chance(&plain, LAG_CONFIDENCE_LEVEL) {
             let mut plain = plain;
             if let (Some(in_plain), Some(in_lagged)) = (in_plain, in_lagged)
                 && in_lagged < 0.8 * in_plain
             {
+                let reason = if is_worse {
+                    format!(
+                        "It does not fit held-out rows better ({:.3} instead of {plain_rms:.3})",
+                        lagged_rms.unwrap_or(f64::NAN)
+                    )
+                } else {
+                    "That may be chance, for neighbouring rows are alike".into()
+                };
                 plain.warning = Some(format!(
                     "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead \
-                     of {in_plain:.3} µm RMS). It does not fit held-out rows better ({:.3} \
-                     instead of {plain_rms:.3}), so no lag is used",
-                    lagged_rms.unwrap_or(f64::NAN)
+                     of {in_plain:.3} µm RMS). {reason}, so no lag is used"
                 ));
             }
             return Some(plain);
