@@ -165,7 +165,7 @@ def main():
                 floor, expected = promise["reduction_floor95"], promise["reduction"]
                 said = f"floor {floor:.2f}, expected {expected:.2f}, came {came:.2f}, {place}"
                 if promise["inside"]:
-                    promised.append((floor, expected, came))
+                    promised.append((name.split("-")[0], floor, expected, came))
             print(f"{name}\t{code}\t{verdict}\t{before:.2f}\t{after:.2f}\t{said}\t{found}", flush=True)
             counts[verdict] += 1
             helped += verdict != "error" and after < 0.9 * before
@@ -174,11 +174,13 @@ def main():
     print(", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()))
     print(f"{sum(counts.values())} answers, {helped} leave at least a tenth less, {len(harmful)} harmful {harmful or ''}")
     if promised:
-        kept = sum(came >= floor for floor, _, came in promised)
-        below = statistics.median(came - max(floor, 0) for floor, _, came in promised)
-        too_good = sum(expected > came + TOO_GOOD for _, expected, came in promised)
-        print(f"promised inside the ranges: {len(promised)}; the floor kept in {kept}, at the median {below:.2f} below "
-              f"what came; expected more than {TOO_GOOD:.2f} too good in {too_good}")
+        kept = collections.Counter(of for of, floor, _, came in promised if came >= floor)
+        below = statistics.median(came - max(floor, 0) for _, floor, _, came in promised)
+        too_good = sum(expected > came + TOO_GOOD for *_, expected, came in promised)
+        print(f"promised inside the ranges: {len(promised)}; the floor kept in {kept.total()}, at the median {below:.2f} "
+              f"below what came; expected more than {TOO_GOOD:.2f} too good in {too_good}")
+        of_all = collections.Counter(of for of, *_ in promised)
+        print("kept by set: " + ", ".join(f"{of} {kept[of]} of {count}" for of, count in of_all.items()))
     return int(bool(harmful))
 
 
