@@ -66,9 +66,9 @@ pub(crate) struct LaggedFit {
 }
 
 impl LaggedFit {
-    /// Returns whether its further constants leave less of the same rows than `simpler` by more than chance does with this
-    /// probability (F).
-    pub(crate) fn is_better_than_by_chance(&self, simpler: &Self, confidence: f64) -> bool {
+    /// Returns whether its further constants leave less of the same rows than `simpler` by more than chance explains with
+    /// this probability (F).
+    pub(crate) fn is_significantly_better_than(&self, simpler: &Self, confidence: f64) -> bool {
         let wider = pooled_rows::autocorrelation_inflation_factor(&self.residuals);
         let squares = |fit: &Self| {
             fit.residuals.iter().filter(|um| !um.is_nan()).map(|um| um * um).sum::<f64>()
@@ -182,7 +182,7 @@ impl<'a> LaggedRegression<'a> {
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
         let is_worse = lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms);
-        if is_worse || !lagged.is_better_than_by_chance(&plain, LAG_CONFIDENCE_LEVEL) {
+        if is_worse || !lagged.is_significantly_better_than(&plain, LAG_CONFIDENCE_LEVEL) {
             let mut plain = plain;
             if let (Some(in_plain), Some(in_lagged)) = (in_plain, in_lagged)
                 && in_lagged < 0.8 * in_plain

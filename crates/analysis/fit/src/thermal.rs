@@ -281,11 +281,11 @@ impl ThermalData {
                 let size = fitted.coefficients[at].abs();
                 size > wider * fitted.coefficient_half_width(at)
             };
-            let is_chance = |(_, _, simpler, _): &(f64, ThermalMode, LaggedFit, f64)| {
-                !fitted.is_better_than_by_chance(simpler, CONFIDENCE_LEVEL)
+            let is_better = |(_, _, simpler, _): &(f64, ThermalMode, LaggedFit, f64)| {
+                fitted.is_significantly_better_than(simpler, CONFIDENCE_LEVEL)
             };
-            let is_there = || is_there(1) && is_there(3) && !best.as_ref().is_some_and(is_chance);
-            if mode == ThermalMode::Both && requested.is_none() && !is_there() {
+            let is_needed = || is_there(1) && is_there(3) && best.as_ref().is_none_or(is_better);
+            if mode == ThermalMode::Both && requested.is_none() && !is_needed() {
                 continue;
             }
             let held_out = fitted.held_out.as_deref().and_then(ResidualStatistics::from_residuals);
