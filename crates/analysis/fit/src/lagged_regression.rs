@@ -10,7 +10,6 @@
 
 use trueup_machine::model::Lag;
 use trueup_numerics::{
-    f_quantile,
     least_squares::{
         QrSolution, SeparableModel, SolverOptions, fit_separable, separable::geometric_sequence,
     },
@@ -78,8 +77,9 @@ impl LaggedFit {
         let more = (constants(self) - constants(simpler)).max(1.0);
         let rows = self.residuals.iter().filter(|um| !um.is_nan()).count() as f64;
         let degrees = rows - constants(self);
-        let ratio = (squares(simpler) - squares(self)) / more / (squares(self) / degrees);
-        ratio > wider * wider * f_quantile(confidence, more, degrees)
+        let gained = (squares(simpler) - squares(self)) / (wider * wider);
+        pooled_rows::f_test_p_value((gained, more), (squares(self), degrees))
+            .is_some_and(|p| p < 1.0 - confidence)
     }
 }
 

@@ -1,5 +1,6 @@
 //! The rows of several runs in a row, and which of them are held out together.
 
+use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::{InputFileError, Location, applied_offsets::UncompensatedRun};
 use trueup_numerics::{
     least_squares::{GivensQr, QrSolution},
@@ -193,6 +194,19 @@ pub(crate) fn autocorrelation_inflation_factor(residuals: &[f64]) -> f64 {
     }
     let held = correlation.min(0.999);
     ((1.0 + held) / (1.0 - held)).sqrt()
+}
+
+/// Returns how likely chance alone makes the sum of squares `between` groups so large, by the one `within` them, each
+/// in µm² with its degrees of freedom. Of a law with further constants `between` is what they take away, and `within` what is left.
+pub(crate) fn f_test_p_value(between: (f64, f64), within: (f64, f64)) -> Option<f64> {
+    let f = FisherSnedecor::new(between.1, within.1).ok()?;
+    let (between, within) = (between.0 / between.1, within.0 / within.1);
+    // What is equal to a nanometre is equal: rounding must not make a finding.
+    const NEAR_ZERO_VARIANCE_UM2: f64 = 1e-6;
+    if between <= NEAR_ZERO_VARIANCE_UM2 {
+        return Some(1.0);
+    }
+    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
 }
 
 /// Columns and measured values of a linear fit; a NaN in `y` is a row that takes no part.

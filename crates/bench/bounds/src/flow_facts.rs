@@ -163,7 +163,12 @@ const LOOP_BOUNDS: &[LoopBound] = &[
     loop_bound("VolumetricErrorModel::compute_workpiece_error", "", AtMost(2), "two rotary axes"),
     // The wire.
     loop_bound("e2e::compute_crc::{{closure}}", "", AtMost(8), "the bytes of a frame"),
-    loop_bound("e2e::continue_crc", "", AtMost(7), "`SEGMENT_BYTES`, `canopen/src/sdo.rs`"),
+    loop_bound(
+        "e2e::continue_crc",
+        "",
+        AtMost(7),
+        "a segment, in `append_bytes` of `sdo/block_download.rs`",
+    ),
     loop_bound("e2e::compute_crc", "", AtMost(32), "the registers of a block of a PLC"),
     loop_bound(
         "server::checksum",

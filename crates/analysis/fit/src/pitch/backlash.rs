@@ -23,11 +23,12 @@ use super::{
     PitchFitOptions,
     cross_validation::{fold_count, fold_index, is_significant_gain},
     feed_dependence,
-    pitch_report::{confidence_half_width, describe_folds, f_test_p_value},
+    pitch_report::{confidence_half_width, describe_folds},
     pitch_table::TABLE_DECIMALS,
     readings::{FEED_COLUMN, PitchReadings, ReadingSelection, measured_column_name},
     reversal_difference::{ReversalDifference, compute_reversal_differences},
 };
+use crate::pooled_rows::f_test_p_value;
 use crate::report::{FitDetail, FitParameter, FitReport, FitVerdict, ResidualStatistics};
 
 /// This many positions are a test of backlash, more are a sweep.

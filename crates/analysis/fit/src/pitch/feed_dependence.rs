@@ -7,10 +7,11 @@
 
 use super::{
     PitchFitOptions,
-    pitch_report::{confidence_half_width, f_test_p_value},
+    pitch_report::confidence_half_width,
     readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, PitchReadings},
     reversal_difference::ReversalDifference,
 };
+use crate::pooled_rows::f_test_p_value;
 use crate::report::{FitDetail, FitReport};
 
 /// Below this probability a difference between feeds is not chance: the level of a claim.

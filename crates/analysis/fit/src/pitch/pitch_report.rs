@@ -1,6 +1,5 @@
 //! The report of a pitch fit.
 
-use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::{
     machine_file::writer::MachineFileEdit,
     machine_file::{Backlash, LinearAxis},
@@ -196,19 +195,6 @@ fn backlash_half_width_um(readings: &PitchReadings, sums: &DirectionSums) -> Opt
 /// Returns half the 95 % interval of the mean of `values`; `None` below two values.
 pub(super) fn confidence_half_width(values: &[f64]) -> Option<f64> {
     mean_and_half_width(values, 0.975).map(|(_, half_width)| half_width)
-}
-
-/// Returns how likely chance alone makes the sum of squares `between` groups so large, by the one `within` them, each
-/// in µm² with its degrees of freedom.
-pub(super) fn f_test_p_value(between: (f64, f64), within: (f64, f64)) -> Option<f64> {
-    let f = FisherSnedecor::new(between.1, within.1).ok()?;
-    let (between, within) = (between.0 / between.1, within.0 / within.1);
-    // What is equal to a nanometre is equal: rounding must not make a finding.
-    const NEAR_ZERO_VARIANCE_UM2: f64 = 1e-6;
-    if between <= NEAR_ZERO_VARIANCE_UM2 {
-        return Some(1.0);
-    }
-    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
 }
 
 /// Why the axis should not be corrected, a sentence each.

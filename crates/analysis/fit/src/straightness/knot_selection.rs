@@ -1,7 +1,6 @@
 //! One knot after the other, until the tolerance or the noise says enough: the rules that the
 //! [module](super) states.
 
-use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::machine_file::BSpline;
 
 use super::{
@@ -11,7 +10,10 @@ use super::{
     paper_method,
     sites::Sites,
 };
-use crate::bspline::{clamped_knots, fit_least_squares_spline};
+use crate::{
+    bspline::{clamped_knots, fit_least_squares_spline},
+    pooled_rows::f_test_p_value,
+};
 
 /// Knots are looked for over at most this many sites; of more, neighbours are joined. The fit itself,
 /// its residuals and the criterion take all of them.
@@ -238,9 +240,9 @@ impl<'s> SelectionPath<'s> {
             return true;
         };
         let (more, freedom) = ((best.free - 2) as f64, freedom as f64);
-        let Ok(fisher) = FisherSnedecor::new(more, freedom) else { return true };
-        let ratio = (line - best.sum_of_squares) / more / (best.sum_of_squares / freedom);
-        !ratio.is_finite() || fisher.sf(ratio.max(0.0)) < SIGNIFICANCE_LEVEL
+        let gained = line - best.sum_of_squares;
+        f_test_p_value((gained, more), (best.sum_of_squares, freedom))
+            .is_none_or(|p| p < SIGNIFICANCE_LEVEL)
     }
 
     /// Returns the result, given why the search has ended.
