@@ -182,19 +182,23 @@ impl<'a> LaggedRegression<'a> {
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
         let is_worse = lagged_rms.is_none_or(|rms| rms > (1.0 - MIN_RELATIVE_LAG_GAIN) * plain_rms);
-        if is_worse || !lagged.is_significantly_better_than(&plain, LAG_CONFIDENCE_LEVEL) {
+        let reason = if lag_s > longest_s {
+            Some(format!("No run is that long; the longest has {longest_s:.0} s"))
+        } else if is_worse {
+            Some(format!(
+                "It does not fit held-out rows better ({:.3} instead of {plain_rms:.3})",
+                lagged_rms.unwrap_or(f64::NAN)
+            ))
+        } else if !lagged.is_significantly_better_than(&plain, LAG_CONFIDENCE_LEVEL) {
+            Some("That may be chance: the rows are few, or neighbours are alike".into())
+        } else {
+            None
+        };
+        if let Some(reason) = reason {
             let mut plain = plain;
             if let (Some(in_plain), Some(in_lagged)) = (in_plain, in_lagged)
                 && in_lagged < 0.8 * in_plain
             {
-                let reason = if is_worse {
-                    format!(
-                        "It does not fit held-out rows better ({:.3} instead of {plain_rms:.3})",
-                        lagged_rms.unwrap_or(f64::NAN)
-                    )
-                } else {
-                    "That may be chance, for neighbouring rows are alike".into()
-                };
                 plain.warning = Some(format!(
                     "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead \
                      of {in_plain:.3} µm RMS). {reason}, so no lag is used"

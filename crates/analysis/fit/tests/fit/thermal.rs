@@ -134,6 +134,41 @@ fn a_mode_or_a_lag_is_found_in_five_passes_where_it_is_there_and_seldom_elsewher
 }
 
 #[test]
+fn a_lag_that_may_be_chance_or_is_longer_than_the_run_is_not_used_and_the_warning_says_why() {
+    // A gauge that wanders beside a screw that warms: neighbouring rows are alike.
+    let fitted = |seed: u64, law: fn(f64, f64) -> f64| {
+        let mut noise = Noise::seeded(seed);
+        let mut wander_um = 0.0;
+        let mut columns: [Vec<f64>; 4] = Default::default();
+        for row in 0..300 {
+            let (time_s, x_mm) = (12.0 * f64::from(row), 250.0 * f64::from(row % 5));
+            let t = 20.0 + 6.0 * (1.0 - (-time_s / 1_500.0).exp());
+            wander_um = 0.99 * wander_um + noise.next();
+            let values = [time_s, x_mm, t + 0.01 * noise.next(), law(t, x_mm) + wander_um];
+            columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+        }
+        let [time_s, x_mm, t, measured] = &columns;
+        let names = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];
+        let columns = [time_s, x_mm, t, measured].map(Vec::as_slice);
+        let run = run(&names.into_iter().zip(columns).collect::<Vec<_>>());
+        let report = fit(&run, &thermal::ThermalFitOptions::default());
+        let lag_s = report.parameter("lag_s").expect("set").value;
+        assert!(lag_s <= 12.0 * 299.0, "seed {seed}: a lag of {lag_s} s in an hour");
+        let warnings = report.warnings.iter().filter(|line| line.contains("so no lag is used"));
+        let refusals: Vec<&String> = warnings.collect();
+        assert!(refusals.is_empty() || lag_s == 0.0, "seed {seed}: {lag_s} s, {refusals:?}");
+        refusals.iter().any(|line| line.contains("That may be chance"))
+    };
+    let constant = |t: f64, _: f64| 11.5 * (t - 20.0);
+    let position = |t: f64, x: f64| 11.5 * (t - 20.0) * x / 1_000.0;
+    let by_chance = (0..60).filter(|seed| fitted(*seed, constant)).count();
+    assert!(by_chance > 0, "none is refused as chance");
+    (0..60).for_each(|seed| {
+        fitted(seed, position);
+    });
+}
+
+#[test]
 fn a_constant_and_a_slope_share_their_reference() {
     let law = |t: f64, x: f64| (t - 22.0) * (1.7 + 9.0 * x / 1000.0);
     let run = scanned(law, 300.0, 0.4);
