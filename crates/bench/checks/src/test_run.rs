@@ -30,8 +30,8 @@ const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emu
 /// How many run at a time of those that only compute.
 const PARALLEL_COMPUTING_PROGRAMS: usize = 2;
 /// Programs with one of these in their names need the computer in time and mostly wait: LinuxCNC without a real-time kernel,
-/// of which one runs at a time, and what measures a latency. They run one after the other beside the rest.
-const TIMED_NAME_SUBSTRINGS: [&str; 2] = ["linuxcnc", "gateway_latency"];
+/// of which one runs at a time, and servers whose latency counts. They run one after the other beside the rest.
+const TIMED_NAME_SUBSTRINGS: [&str; 4] = ["linuxcnc", "gateway", "live", "fleet"];
 /// The other programs are nicer by this much. `nice(1)` of 5 is a third of the share.
 const COMPUTING_NICENESS: &str = "5";
 /// How many of the last lines are printed of a program that ended before its tests had.
