@@ -23,6 +23,21 @@ fn a_hidden_fault_is_named_and_another_day_is_better() {
     );
 }
 
+/// Heat that leaves less easily ends higher and comes later: two constants of the machine's own law, neither of which does
+/// much alone. A path of heat from the thermometer at the front imitates both.
+#[test]
+fn a_lost_cooling_is_two_constants_of_the_law_and_no_path_of_heat() {
+    for seed in [1068, 5029, 9102] {
+        let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be diagnosed");
+        let lost = |(fault, _): &(PhysicalFault, f64)| *fault == PhysicalFault::LostCooling;
+        assert!(hidden.fault_sizes().iter().any(lost), "seed {seed}");
+        let two = run_hidden_fault_demo(&BoardSource::InProcess, &hidden, &mut |_, _| {})
+            .expect("it runs through");
+        println!("{}", two.outcome.format_row());
+        assert!(two.outcome.all_right, "{}", two.outcome.format_row());
+    }
+}
+
 /// Each tool grows with the speed in its own way, and the file knows no tools: found, compiled, loaded.
 #[test]
 fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {

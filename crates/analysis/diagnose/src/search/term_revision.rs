@@ -94,16 +94,30 @@ impl Search<'_> {
     }
 
     /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
-    /// place of each term, each good rival together with the best that can then be added; whether it
-    /// has changed the model.
+    /// place of each term, each good rival together with the best that can then be added, and the constants of the machine's
+    /// own model, which come first where the BIC cannot tell; whether it has changed the model.
     pub(crate) fn try_two_step_lookahead(&mut self) -> bool {
         let own = self.bic();
+        self.adopt_best_pair(own - STRONG_EVIDENCE_BIC_DIFFERENCE, Self::find_replacement_pairs)
+            || self.adopt_best_pair(
+                own + STRONG_EVIDENCE_BIC_DIFFERENCE,
+                Self::find_own_constant_pairs,
+            )
+    }
+
+    /// Takes the best of the pairs that `find` gives for the terms, if its BIC is below `most` and it predicts better; whether it
+    /// has.
+    fn adopt_best_pair(
+        &mut self,
+        most: f64,
+        find: impl Fn(&Self, usize) -> Vec<ReplacementPair> + Sync,
+    ) -> bool {
         let terms: Vec<usize> = (0..self.added.len()).collect();
         let pairs = parallel_map(&terms, self.problem.is_parallel_worthwhile(), |&index| {
-            self.find_best_replacement_pair(index, own - STRONG_EVIDENCE_BIC_DIFFERENCE)
+            find(self, index).into_iter().min_by(|a, b| a.bic.total_cmp(&b.bic))
         });
         let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
-        let Some(pair) = best else { return false };
+        let Some(pair) = best.filter(|pair| pair.bic < most) else { return false };
         let [before, after] =
             [&self.fitted, &pair.fitted].map(|fitted| self.held_out_rms_um(fitted));
         if after >= before {
@@ -118,28 +132,39 @@ impl Search<'_> {
         true
     }
 
-    /// Returns the best pair in the place of a term with a BIC below `most`.
-    fn find_best_replacement_pair(&self, index: usize, most: f64) -> Option<ReplacementPair> {
+    /// Returns pairs in the place of a term: each good rival with what can then be added.
+    fn find_replacement_pairs(&self, index: usize) -> Vec<ReplacementPair> {
         // Two of what is farther away are no better than one of what is near.
         let tier = self.added[index].cause.tier();
         let is_near = |extension: &ModelExtension| extension.cause.tier() <= tier;
-        let mut best: Option<ReplacementPair> = None;
         let places = self.fit_replacements(&self.added[index].cause, 4);
-        for first in places.instead.into_iter().filter(is_near) {
-            let pairs = fit_single_cause_extensions(self.problem, &first.fitted, 3, |_| true);
-            for second in pairs.into_iter().filter(is_near) {
-                let ModelExtension { cause, fitted, bic } = second;
-                if bic < best.as_ref().map_or(most, |best| best.bic) {
-                    best = Some(ReplacementPair {
-                        bic,
-                        index,
-                        causes: [first.cause.clone(), cause],
-                        fitted,
-                    });
-                }
-            }
+        let firsts = places.instead.into_iter().filter(is_near);
+        firsts
+            .flat_map(|first| {
+                let seconds = fit_single_cause_extensions(self.problem, &first.fitted, 3, |_| true);
+                let seconds = seconds.into_iter().filter(is_near);
+                seconds.map(move |second| ReplacementPair::new(index, first.cause.clone(), second))
+            })
+            .collect()
+    }
+
+    /// Returns pairs of constants of the machine's own model in the place of something else, if they need no more values. The
+    /// constants of one law may hide each other: heat that ends higher and comes later is two of them.
+    fn find_own_constant_pairs(&self, index: usize) -> Vec<ReplacementPair> {
+        let cause = &self.added[index].cause;
+        if cause.tier() == 0 {
+            return Vec::new();
         }
-        best
+        let fit_own_constants = |base: &FittedModel| {
+            fit_single_cause_extensions(self.problem, base, usize::MAX, |kind| kind.tier() == 0)
+        };
+        let values = degrees_of_freedom(&self.fitted.model);
+        let firsts = fit_own_constants(&self.refit_without(cause)).into_iter();
+        let pairs = firsts.flat_map(|first| {
+            let seconds = fit_own_constants(&first.fitted).into_iter();
+            seconds.map(move |second| ReplacementPair::new(index, first.cause.clone(), second))
+        });
+        pairs.filter(|pair| degrees_of_freedom(&pair.fitted.model) <= values).collect()
     }
 
     /// A slow path of a column that the model does not go by otherwise is a path, not a second one.
@@ -167,4 +192,11 @@ struct ReplacementPair {
     index: usize,
     causes: [TermKind; 2],
     fitted: FittedModel,
+}
+
+impl ReplacementPair {
+    fn new(index: usize, first: TermKind, second: ModelExtension) -> Self {
+        let ModelExtension { cause, fitted, bic } = second;
+        Self { bic, index, causes: [first, cause], fitted }
+    }
 }
