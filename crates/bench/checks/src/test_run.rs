@@ -1,4 +1,4 @@
-//! Builds all test programs once, and runs them two at a time, and beside them one that needs the computer in time.
+//! Builds all test programs once, and runs them two at a time.
 //!
 //! Every tier takes the same programs, of one profile and with the same features, so that nothing is
 //! compiled for a second tier. A program runs its tests one after the other: so the time between two
@@ -27,13 +27,11 @@ use crate::{cargo, test_results::TestResults};
 
 /// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
 const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
-/// How many run at a time of those that only compute.
-const PARALLEL_COMPUTING_PROGRAMS: usize = 2;
-/// Programs with one of these in their names need the computer in time and mostly wait: LinuxCNC without a real-time kernel,
-/// of which one runs at a time, and servers whose latency counts. They run one after the other beside the rest.
-const TIMED_NAME_SUBSTRINGS: [&str; 4] = ["linuxcnc", "gateway", "live", "fleet"];
-/// The other programs are nicer by this much. `nice(1)` of 5 is a third of the share.
-const COMPUTING_NICENESS: &str = "5";
+/// How many run at a time.
+const MAX_PARALLEL_PROGRAMS: usize = 2;
+/// One LinuxCNC runs at a time, and it mostly waits for its axes: one worker takes the programs that start it, with this in
+/// their names, so that the other does not stand behind it.
+const LINUXCNC_NAME_SUBSTRING: &str = "linuxcnc";
 /// How many of the last lines are printed of a program that ended before its tests had.
 const MAX_TAIL_LINES: usize = 50;
 
@@ -46,24 +44,6 @@ pub struct TestProgram {
     executable: PathBuf,
     /// The folder of its package, where cargo runs it too.
     folder: PathBuf,
-}
-
-impl TestProgram {
-    fn needs_computer_in_time(&self) -> bool {
-        TIMED_NAME_SUBSTRINGS.iter().any(|substring| self.name.contains(substring))
-    }
-
-    /// Returns its command, nicer than those of the programs that need the computer in time.
-    fn command(&self) -> Command {
-        match process::find_on_path("nice").filter(|_| !self.needs_computer_in_time()) {
-            Some(nice) => {
-                let mut command = Command::new(nice);
-                command.args(["-n", COMPUTING_NICENESS]).arg(&self.executable);
-                command
-            }
-            None => Command::new(&self.executable),
-        }
-    }
 }
 
 /// Builds all of them.
@@ -150,18 +130,21 @@ pub fn run(
                 total.lock().expect("no worker panics").merge(tally);
             }
         };
-        // The first worker has what needs the computer in time.
-        let workers: Vec<_> = (0..=PARALLEL_COMPUTING_PROGRAMS)
-            .map(|worker| scope.spawn(move || work(worker)))
-            .collect();
+        let workers: Vec<_> =
+            (0..MAX_PARALLEL_PROGRAMS).map(|worker| scope.spawn(move || work(worker))).collect();
         workers.into_iter().try_for_each(|worker| worker.join().expect("no worker panics"))
     })?;
     Ok(total.into_inner().expect("no worker panics"))
 }
 
-/// Takes the next of the programs that need the computer in time, or of the others.
-fn take_next_program<'a>(open: &mut Vec<&'a TestProgram>, timed: bool) -> Option<&'a TestProgram> {
-    let place = open.iter().position(|program| program.needs_computer_in_time() == timed)?;
+/// Takes the next of the programs, rather one that starts LinuxCNC, or rather one that does not.
+fn take_next_program<'a>(
+    open: &mut Vec<&'a TestProgram>,
+    starts_linuxcnc: bool,
+) -> Option<&'a TestProgram> {
+    let fits =
+        |program: &&TestProgram| program.name.contains(LINUXCNC_NAME_SUBSTRING) == starts_linuxcnc;
+    let place = open.iter().position(fits).or((!open.is_empty()).then_some(0))?;
     Some(open.remove(place))
 }
 
@@ -170,7 +153,7 @@ fn run_test_program(
     arguments: &[&str],
     variables: &[(&str, &str)],
 ) -> Result<TestResults> {
-    let mut command = program.command();
+    let mut command = Command::new(&program.executable);
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
     command.envs(variables.iter().copied());
@@ -256,23 +239,19 @@ mod tests {
     }
 
     #[test]
-    fn one_worker_takes_what_needs_the_computer_in_time_and_the_others_take_the_rest() {
+    fn one_worker_takes_what_starts_linuxcnc_and_both_take_all_of_it() {
         let program = |name: &str| TestProgram {
             name: name.into(),
             executable: PathBuf::new(),
             folder: PathBuf::new(),
         };
-        let programs = ["x/chip", "x/linuxcnc_joint", "x/demo", "x/gateway_latency"].map(program);
+        let programs = ["x/chip", "x/linuxcnc_joint", "x/demo", "x/programs_linuxcnc"].map(program);
         let mut open: Vec<_> = programs.iter().collect();
         let taken: Vec<_> = [true, false, true, true, false, false]
-            .map(|timed| take_next_program(&mut open, timed).map(|program| program.name.as_str()))
+            .map(|starts| take_next_program(&mut open, starts).map(|program| program.name.as_str()))
             .into();
-        let expected = ["x/linuxcnc_joint", "x/chip", "x/gateway_latency"].map(Some);
-        assert_eq!((&taken[..3], &taken[3..]), (&expected[..], &[None, Some("x/demo"), None][..]));
-        let is_nicer = programs.each_ref().map(|program| {
-            program.command().get_args().any(|argument| argument == COMPUTING_NICENESS)
-        });
-        assert_eq!(is_nicer, [true, false, true, false]);
+        let expected = ["x/linuxcnc_joint", "x/chip", "x/programs_linuxcnc", "x/demo"].map(Some);
+        assert_eq!((&taken[..4], &taken[4..]), (&expected[..], &[None, None][..]));
     }
 
     #[test]
