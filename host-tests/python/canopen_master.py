@@ -20,7 +20,7 @@ from canopen.objectdictionary import ODVariable
 from canopen.sdo import SdoAbortedError
 
 OFFSET_XY, CONTROL, HEARTBEAT = 0x181, 0x302, 0x701
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 NUMBERS = {0x04: "<i", 0x05: "<B", 0x06: "<H", 0x07: "<I"}
 TEXT = 0x09
 RUNNING, NEW = (0x2100, 1), (0x2100, 2)
@@ -304,7 +304,7 @@ def main():
     options = parser.parse_args()
     globals()["PATIENCE_S"] = options.patience
     # Whatever hangs, this ends.
-    faulthandler.dump_traceback_later(15 * PATIENCE_S, exit=True)
+    faulthandler.dump_traceback_later(10 * PATIENCE_S, exit=True)
     with open(options.calibration, "rb") as file:
         new = file.read()
     network = canopen.Network()
