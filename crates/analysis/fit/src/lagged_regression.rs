@@ -5,8 +5,8 @@
 //! ```
 //!
 //! L_τ is the model's own lag (`trueup_machine::model::Lag`), stepped through the rows. τ = 0 is
-//! tried first. A lag is kept only if held-out parts of the run are better with it: on the rows that
-//! are fitted it always is.
+//! tried first. A lag is kept only if held-out parts of the run are better with it (on the rows that
+//! are fitted it always is), the fitted rows show it beyond chance, and a run is as long.
 
 use trueup_machine::model::Lag;
 use trueup_numerics::{

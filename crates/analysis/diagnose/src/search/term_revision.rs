@@ -94,8 +94,8 @@ impl Search<'_> {
     }
 
     /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
-    /// place of each term, each good rival together with the best that can then be added, and the constants of the machine's
-    /// own model, which come first where the BIC cannot tell; whether it has changed the model.
+    /// place of each term, each good rival together with the best that can then be added; then two constants of the machine's
+    /// own model, which come first where the BIC cannot distinguish them from the term. Returns whether it has changed the model.
     pub(crate) fn try_two_step_lookahead(&mut self) -> bool {
         let own = self.bic();
         self.adopt_best_pair(own - STRONG_EVIDENCE_BIC_DIFFERENCE, Self::find_replacement_pairs)
@@ -105,8 +105,8 @@ impl Search<'_> {
             )
     }
 
-    /// Takes the best of the pairs that `find` gives for the terms, if its BIC is below `most` and it predicts better; whether it
-    /// has.
+    /// Takes the best of the pairs that `find` gives for the terms, if its BIC is below `most` and it predicts held-out blocks
+    /// better. Returns whether it has.
     fn adopt_best_pair(
         &mut self,
         most: f64,
