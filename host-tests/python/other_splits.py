@@ -6,7 +6,9 @@ TRUEUP is the tool's program. Every choice of cycles of the sets by ISO 230-2, o
 beginnings of the rods, the spindle and the gantry machine; each of its runs against each other one, with four machine
 files. An answer is harmful where it ends with 0 and what the board would correct leaves the hold-out more than 5 %
 worse than the machine file alone. And is what `held_out` promises kept, where the inputs of the hold-out lie within
-`ranges`? A line for each, tab-separated; then the counts. Ends with 1 if one was harmful.
+`ranges`? Of the sets by ISO 230-2 that is asked once more without the readings that the tool excludes as outliers where it
+has all cycles: no promise is for a reading that is none. A line for each, tab-separated; then the counts. Ends with 1 if
+one was harmful.
 """
 
 import collections
@@ -14,6 +16,7 @@ import csv
 import itertools
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -29,12 +32,19 @@ HARM = 1.05
 TOO_GOOD = 0.10
 
 
-class Splits:
-    """The cases, whose parts of files are written into `folder`."""
+def write(path, head, rows):
+    with open(path, "w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *rows])
 
-    def __init__(self, folder):
+
+class Splits:
+    """The cases, whose parts of files are written into `folder`, and of each set the readings that are none."""
+
+    def __init__(self, trueup, folder):
+        self.trueup = trueup
         self.folder = Path(folder)
         self.cases = []
+        self.outliers = {}
 
     def read(self, path):
         with open(DATA / path, newline="") as file:
@@ -51,16 +61,26 @@ class Splits:
         paths = []
         for wanted, end in ((True, ""), (False, "-holdout")):
             path = self.folder / f"{name}{end}.csv"
-            with open(path, "w", newline="") as file:
-                out = csv.writer(file, lineterminator="\n")
-                out.writerow(head)
-                out.writerows(row for n, row in enumerate(rows) if is_fitted(n, row) == wanted)
+            write(path, head, [row for n, row in enumerate(rows) if is_fitted(n, row) == wanted])
             paths.append(path)
         self.cases.append((name, machine, *paths))
+
+    def outliers_of(self, name, machine, head, rows):
+        """The rows that the tool excludes where it has all of them."""
+        path = self.folder / f"{name}-whole.csv"
+        write(path, head, rows)
+        out = self.folder / f"{name}-whole"
+        command = [self.trueup, "diagnose", "--machine", machine, "--run", path, "--out", out]
+        subprocess.run(command, capture_output=True, timeout=1800)
+        found = json.loads((out / "diagnosis.json").read_text())["findings"]
+        evidence = " ".join(text for it in found if it["cause"] == "outliers" for text in it["evidence"])
+        numbers = re.search(r"Excluded as outliers: rows? ([\d, ]+)\.", evidence)
+        return [rows[int(number) - 1] for number in numbers[1].split(", ")] if numbers else []
 
     def cycles(self, name, head, rows):
         """Cycles, directions and targets of a set by ISO 230-2."""
         machine = self.machine("nothing", HEAD)
+        self.outliers[name] = self.outliers_of(name, machine, head, rows)
         run = head.index("run")
         cycles = sorted({row[run] for row in rows}, key=float)
         for size in (3, 2):
@@ -139,6 +159,18 @@ def answer(trueup, folder, case):
     return name, ended.returncode, told["verdict"], before, after, promise, found
 
 
+def without(outliers, case):
+    """The same case, its hold-out without some readings; none where it has none of them."""
+    name, machine, run, holdout = case
+    with open(holdout, newline="") as file:
+        head, *rows = csv.reader(file)
+    of_set = next((rows for of, rows in outliers.items() if name.startswith(f"{of}-")), [])
+    kept = [row for row in rows if row not in of_set]
+    path = holdout.with_name(f"{name}-holdout-kept.csv")
+    write(path, head, kept)
+    return (f"{name}-kept", machine, run, path) if len(kept) < len(rows) else None
+
+
 def is_inside(ranges, path):
     """Whether the inputs of a hold-out lie within the ranges."""
     with open(path, newline="") as file:
@@ -152,11 +184,23 @@ def is_inside(ranges, path):
     return True
 
 
+def report(what, promised):
+    """Prints how often the promises were kept."""
+    of_all = collections.Counter(name.split("-")[0] for name in promised)
+    kept = collections.Counter(name.split("-")[0] for name, (floor, _, came) in promised.items() if came >= floor)
+    below = statistics.median(came - max(floor, 0) for floor, _, came in promised.values())
+    too_good = sum(expected > came + TOO_GOOD for _, expected, came in promised.values())
+    print(f"{what}: {len(promised)}; the floor kept in {kept.total()} ({kept.total() / len(promised):.1%}), at the median "
+          f"{below:.2f} below what came; expected more than {TOO_GOOD:.2f} too good in {too_good} ({too_good / len(promised):.1%})")
+    print("kept by set: " + ", ".join(f"{of} {kept[of]} of {count}" for of, count in of_all.items()))
+
+
 def main():
     trueup, *part = sys.argv[1:]
-    counts, harmful, helped, promised = collections.Counter(), [], 0, []
+    counts, harmful, helped, promised, kept = collections.Counter(), [], 0, {}, {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as threads:
-        cases = [case for case in Splits(folder).all() if not part or part[0] in case[0]]
+        splits = Splits(trueup, folder)
+        cases = [case for case in splits.all() if not part or part[0] in case[0]]
         for it in threads.map(lambda case: answer(trueup, folder, case), cases):
             name, code, verdict, before, after, promise, found = it
             said = "nothing written"
@@ -165,22 +209,21 @@ def main():
                 floor, expected = promise["reduction_floor95"], promise["reduction"]
                 said = f"floor {floor:.2f}, expected {expected:.2f}, came {came:.2f}, {place}"
                 if promise["inside"]:
-                    promised.append((name.split("-")[0], floor, expected, came))
+                    promised[name] = (floor, expected, came)
             print(f"{name}\t{code}\t{verdict}\t{before:.2f}\t{after:.2f}\t{said}\t{found}", flush=True)
             counts[verdict] += 1
             helped += verdict != "error" and after < 0.9 * before
             if code == 0 and after > HARM * before:
                 harmful.append(name)
+        fewer = {case[0]: without(splits.outliers, case) for case in cases if case[0] in promised}
+        fewer = {name: case for name, case in fewer.items() if case}
+        for name, it in zip(fewer, threads.map(lambda case: answer(trueup, folder, case), fewer.values())):
+            kept[name] = (*promised[name][:2], 1 - it[4] / it[3])
     print(", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()))
     print(f"{sum(counts.values())} answers, {helped} leave at least a tenth less, {len(harmful)} harmful {harmful or ''}")
     if promised:
-        kept = collections.Counter(of for of, floor, _, came in promised if came >= floor)
-        below = statistics.median(came - max(floor, 0) for _, floor, _, came in promised)
-        too_good = sum(expected > came + TOO_GOOD for *_, expected, came in promised)
-        print(f"promised inside the ranges: {len(promised)}; the floor kept in {kept.total()}, at the median {below:.2f} "
-              f"below what came; expected more than {TOO_GOOD:.2f} too good in {too_good}")
-        of_all = collections.Counter(of for of, *_ in promised)
-        print("kept by set: " + ", ".join(f"{of} {kept[of]} of {count}" for of, count in of_all.items()))
+        report("promised inside the ranges", promised)
+        report(f"the same, {len(kept)} hold-outs without readings that are none", promised | kept)
     return int(bool(harmful))
 
 

@@ -178,6 +178,47 @@ fn diagnosed_of(machine: &Path, runs: &[RunFile], holdout: &[RunFile], of: Quant
     diagnose(&machine, runs, holdout, Some(of), &mut |_, _| {}).expect("comparable")
 }
 
+/// Returns the mean profile of a bed along an axis, in µm: every second of its 101 places from `first` on.
+fn bed_profile(axis: &str, first: usize) -> Option<RunFile> {
+    let path = data("bed_mesh_troodon/mesh_101x101_mm.csv")?;
+    let text = std::fs::read_to_string(&path).expect("a text file");
+    let row = |line: &str| line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+    let rows: Vec<Vec<f64>> = text.lines().map(row).collect();
+    let mut run = format!("{axis}_mm,measured_dz_um\n");
+    for place in (first..101).step_by(2) {
+        let mm = |other: usize| if axis == "x" { rows[other][place] } else { rows[place][other] };
+        let mean_um = (0..101).map(mm).sum::<f64>() * 1000.0 / 101.0;
+        run += &format!("{:.2},{mean_um:.4}\n", 30.0 + 2.9 * place as f64);
+    }
+    Some(RunFile::from_reader(run.as_bytes(), &path).expect("a run file"))
+}
+
+/// Of 18 µm. A table of as many places as the record has would leave 0.3; noise is 0.4.
+#[test]
+fn a_guide_that_was_passed_once_is_corrected_and_not_claimed() {
+    for (axis, most_um) in [("x", 0.9), ("y", 2.0)] {
+        let (Some(run), Some(rest)) = (bed_profile(axis, 0), bed_profile(axis, 1)) else { return };
+        let diagnosis = diagnosed(HEAD, &[run], &[rest]);
+        assert_eq!(causes(&diagnosis), ["straightness"]);
+        let found = &diagnosis.report.findings[0];
+        assert!(!found.claimed && found.compensated && found.rivals[0].cause == "drift");
+        assert!(diagnosis.report.after.compensated_holdout_rms_um <= most_um);
+    }
+}
+
+/// Either half of the readings of a height sensor is a parabola of 440 µm; an expert leaves 78.
+#[test]
+fn readings_on_a_parabola_are_not_called_noise() {
+    for (one, other) in [("even", "odd"), ("odd", "even")] {
+        let file = |name: &str| data(&format!("strangers2/curve/{name}"));
+        let Some(machine) = file("machine.toml") else { return };
+        let [one, other] = [one, other].map(|half| file(&format!("{half}.csv")).expect("a half"));
+        let answer = diagnosed_of(&machine, &[read(&one)], &[read(&other)], Quantity::Elongation);
+        assert_eq!(answer.report.verdict, Verdict::PartlyExplained);
+        assert!(answer.report.after.compensated_holdout_rms_um <= 101.0);
+    }
+}
+
 fn claimed(diagnosis: &Diagnosis) -> Vec<(&str, Option<&str>)> {
     let claimed = diagnosis.report.findings.iter().filter(|finding| finding.claimed);
     claimed.map(|finding| (finding.cause.as_str(), finding.column.as_deref())).collect()

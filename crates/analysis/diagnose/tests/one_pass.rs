@@ -128,3 +128,52 @@ fn what_wanders_along_a_pass_is_not_called_clean() {
         assert!(diagnosis.terms.is_empty(), "{:?}", diagnosis.terms);
     }
 }
+
+/// The same along a guide.
+#[test]
+fn what_wanders_along_a_guide_is_neither_clean_nor_claimed() {
+    for seed in 30..36 {
+        let mut noise = RandomGenerator::new(seed);
+        let (mut slow_um, kept) = (0.0, (-1.0_f64 / 15.0).exp());
+        let diagnosis = diagnosed(&guide_pass(300, |_| {
+            slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
+            slow_um + 0.4 * noise.normal()
+        }));
+        let report = &diagnosis.report;
+        println!(
+            "{seed}: {:?}, {} terms, {:?}",
+            report.verdict,
+            diagnosis.terms.len(),
+            report.after
+        );
+        assert!(!report.verdict.is_resolved(), "{:?}", report.reasons);
+        assert!(report.findings.iter().all(|finding| !finding.claimed), "{:?}", report.findings);
+    }
+}
+
+/// Rows along y at 3 mm, an error of the z axis over them.
+fn guide_pass(rows: usize, mut error_um: impl FnMut(f64) -> f64) -> String {
+    let mut run = String::from("y_mm,measured_dz_um\n");
+    for row in 0..rows {
+        let y_mm = 300.0 * row as f64 / (rows - 1) as f64;
+        run += &format!("{y_mm:.2},{:.3}\n", error_um(y_mm));
+    }
+    run
+}
+
+/// However many rows there are: of a stretch that was never passed a curve says nothing, and none is asked of it.
+#[test]
+fn the_form_of_a_guide_is_found_with_few_rows_and_with_many() {
+    for rows in [30, 50, 51, 60, 101, 400] {
+        let mut noise = RandomGenerator::new(24);
+        let bow = |y_mm: f64| 12.0 * (TAU * y_mm / 600.0).sin() + 4.0 * (TAU * y_mm / 300.0).sin();
+        let diagnosis = diagnosed(&guide_pass(rows, |y_mm| bow(y_mm) + 0.4 * noise.normal()));
+        let found = finding(&diagnosis, "straightness");
+        let left_um = diagnosis.report.after.compensated_rms_um;
+        println!("{rows} rows: {left_um:.2} µm left");
+        assert!(!found.claimed && found.compensated, "{found:?}");
+        assert_eq!(found.rivals[0].cause, "drift", "{:?}", found.rivals);
+        assert!(found.evidence.join(" ").contains("only grew with the time"), "{found:?}");
+        assert!(left_um < 1.6, "{rows}: {left_um}");
+    }
+}

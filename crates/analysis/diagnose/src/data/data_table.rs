@@ -50,8 +50,10 @@ pub(crate) struct DataSettings {
     pub quantity: Quantity,
     /// The files, as the user has named them.
     pub files: Vec<String>,
-    /// Whether the own axis went one way all the time: an error along it and a drift are one question.
-    pub is_one_pass: bool,
+    /// The axes that went one way all the time: an error along one of them and a drift are one question.
+    pub passed_axes: Vec<LinearAxis>,
+    /// Whether nothing else has changed.
+    pub is_pass_alone: bool,
     pub has_elongation: bool,
     /// The machine file's terms that change the quantity.
     pub stated: Vec<StatedTerm>,

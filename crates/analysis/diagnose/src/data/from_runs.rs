@@ -75,7 +75,8 @@ impl DataTable {
             machine: machine.clone(),
             quantity,
             files: runs.iter().map(|run| run.path().display().to_string()).collect(),
-            is_one_pass: false,
+            passed_axes: Vec::new(),
+            is_pass_alone: false,
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
             stated: StatedTerm::from_machine(machine, quantity),
             constants_um: StatedTerm::sum_constants_um(machine, quantity),
@@ -103,8 +104,11 @@ impl DataTable {
             &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>(),
         );
         input_columns::retain_input_columns(&mut data);
-        if single_pass::is_single_pass(&data) {
-            Arc::make_mut(&mut data.setting).is_one_pass = true;
+        let passed_axes = single_pass::passed_axes(&data);
+        let is_pass_alone = single_pass::is_pass_alone(&data, &passed_axes);
+        let setting = Arc::make_mut(&mut data.setting);
+        (setting.passed_axes, setting.is_pass_alone) = (passed_axes, is_pass_alone);
+        if is_pass_alone {
             single_pass::exclude_redundant_clock(&mut data);
         }
         let first_c = |(name, values): &NamedColumn| (name.clone(), first_finite_or_zero(values));

@@ -1,18 +1,24 @@
 //! Whether the position only grows with the time: then an error over the position and one over the time are one
 //! question, whatever the clock says.
 
-use trueup_machine::effect::{Effect, peak_to_peak};
+use trueup_machine::{
+    effect::{Effect, peak_to_peak},
+    machine_file::LinearAxis,
+};
 use trueup_numerics::repeats::MIN_TABLE_POSITIONS;
 
 use super::{data_table::DataTable, table_columns::KnownColumn};
 
-/// Returns true where the own axis goes one way through the whole record, and never comes back to a place.
-pub(super) fn is_single_pass(data: &DataTable) -> bool {
-    let Some(position) = data.own_position_mm() else { return false };
-    if data.places.series.last().is_some_and(|last| *last > 0) {
-        return false;
-    }
-    let rows = position.iter().zip(&*data.measured);
+/// Returns the axes that go one way through the whole record, and never come back to a place.
+pub(super) fn passed_axes(data: &DataTable) -> Vec<LinearAxis> {
+    let is_one_series = data.places.series.last().is_none_or(|last| *last == 0);
+    let is_passed =
+        |axis: &LinearAxis| data.position_mm(*axis).is_some_and(|mm| goes_one_way(data, mm));
+    LinearAxis::ALL.into_iter().filter(|_| is_one_series).filter(is_passed).collect()
+}
+
+fn goes_one_way(data: &DataTable, position_mm: &[f64]) -> bool {
+    let rows = position_mm.iter().zip(&*data.measured);
     let places: Vec<f64> =
         rows.filter(|(mm, um)| mm.is_finite() && um.is_finite()).map(|(mm, _)| *mm).collect();
     let steps = || places.windows(2).map(|pair| pair[1] - pair[0]);
@@ -22,16 +28,25 @@ pub(super) fn is_single_pass(data: &DataTable) -> bool {
         && (steps().all(|step| step >= 0.0) || steps().all(|step| step <= 0.0))
 }
 
-/// Excludes the clock of a pass where only the position is correlated with it: it says the same once more, and
-/// noise that is as slow as the pass would be taken for the error.
-pub(super) fn exclude_redundant_clock(data: &mut DataTable) {
+/// Returns whether all that changes in a record is the position, and that goes one way: the own axis's, or where that
+/// rests those of all that move.
+pub(super) fn is_pass_alone(data: &DataTable, passed: &[LinearAxis]) -> bool {
     let varies = |values: &[f64]| peak_to_peak(values) > 0.0;
     let columns = data.temperatures().iter().chain(data.unknown_columns());
     let has_inputs = columns.map(|(_, values)| values).any(|values| varies(values))
         || [data.spindle_rpm(), data.load_n()].into_iter().flatten().any(varies)
         || data.setting.stated.iter().any(|stated| Effect::depends_on_time(&stated.effect));
-    if !has_inputs {
-        data.columns[KnownColumn::Time] = None;
-        data.columns[KnownColumn::GaugeTime] = None;
-    }
+    let own = data.setting.quantity.axis();
+    let is_passed_or_rests =
+        |axis: LinearAxis| passed.contains(&axis) || !data.position_mm(axis).is_some_and(varies);
+    let is_pass = own.is_some_and(|own| passed.contains(&own))
+        || !passed.is_empty() && LinearAxis::ALL.into_iter().all(is_passed_or_rests);
+    is_pass && !has_inputs
+}
+
+/// Excludes the clock of a pass: it says the same as the position once more, and noise that is as slow as the pass would
+/// be taken for the error.
+pub(super) fn exclude_redundant_clock(data: &mut DataTable) {
+    data.columns[KnownColumn::Time] = None;
+    data.columns[KnownColumn::GaugeTime] = None;
 }

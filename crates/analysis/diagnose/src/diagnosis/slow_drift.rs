@@ -65,7 +65,7 @@ impl SlowDrift {
     /// correlated with what was recorded.
     pub(super) fn detect(problem: &FitProblem, found: &SearchOutcome) -> Option<Self> {
         let has_clock = problem.data.time_s().is_some();
-        if !(has_clock || problem.data.setting.is_one_pass) || !found.lack_of_fit.is_empty() {
+        if !(has_clock || problem.data.setting.is_pass_alone) || !found.lack_of_fit.is_empty() {
             return None;
         }
         if !has_slow_drift(problem, found) {

@@ -230,8 +230,8 @@ fn fit_partner_extensions(
 }
 
 /// Two causes may each be hidden by the other, so that neither alone is more than noise. Tries the
-/// partners of the most likely of `hits`; a pair must be half as much again above `limit`, what noise
-/// lets one candidate reach, and must predict held-out blocks better.
+/// partners of the most likely of `hits`; a pair must reach twice `limit`, what noise lets one candidate reach, and must
+/// predict held-out blocks better.
 pub(crate) fn find_suppressor_pair(
     search: &Search<'_>,
     hits: &[ScanHit],
@@ -245,7 +245,7 @@ pub(crate) fn find_suppressor_pair(
     let is_simple = |cause: &TermKind| cause.tier() <= 1 && cause.amplitude_count() <= 2;
     let simple: Vec<ScanHit> =
         hits.iter().filter(|hit| is_simple(&hit.part.kind)).cloned().collect();
-    let mut best_bic = search.bic() - 1.5 * limit.max(0.0) - 2.0 * STRONG_EVIDENCE_BIC_DIFFERENCE;
+    let mut best_bic = search.bic() - 2.0 * limit.max(STRONG_EVIDENCE_BIC_DIFFERENCE);
     let mut best: Option<(TermKind, ModelExtension)> = None;
     for first in fit_scan_hits(problem, &search.fitted, &simple, 5) {
         let Some(partner) = fit_partner_extensions(problem, &first.fitted, tier).into_iter().next()

@@ -381,9 +381,9 @@ pub trait Explanation {
         None
     }
 
-    /// Returns the cause that would look the same where the position only grows with the time: of one over the position
-    /// one over the time, and the other way round.
-    fn confounded_in_one_pass(&self) -> Option<&'static str> {
+    /// Returns the cause that would look the same where the position only grows with the time, if it is another than a
+    /// drift: of a period of the position one of the time, and the other way round.
+    fn periodic_rival_in_one_pass(&self) -> Option<&'static str> {
         None
     }
 

@@ -41,6 +41,7 @@ mod extra_heat_path;
 mod feed_dependent_backlash;
 mod law_evaluation;
 mod nonlinear;
+mod one_pass;
 mod outliers;
 mod periodic_in_time;
 mod pitch_error;

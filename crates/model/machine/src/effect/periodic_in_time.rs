@@ -158,7 +158,7 @@ impl Explanation for PeriodicInTime {
         )
     }
 
-    fn confounded_in_one_pass(&self) -> Option<&'static str> {
+    fn periodic_rival_in_one_pass(&self) -> Option<&'static str> {
         Some(super::PitchPeriodic::NAME)
     }
 

@@ -176,7 +176,7 @@ impl Explanation for PitchPeriodic {
          elsewhere. It must repeat with the same phase."
     }
 
-    fn confounded_in_one_pass(&self) -> Option<&'static str> {
+    fn periodic_rival_in_one_pass(&self) -> Option<&'static str> {
         Some(super::PeriodicInTime::NAME)
     }
 

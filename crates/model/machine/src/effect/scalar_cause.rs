@@ -73,7 +73,6 @@ struct ScalarCause {
     /// The measurements that distinguish it from others, by their names.
     against: &'static [(&'static str, &'static str)],
     repair: Option<&'static str>,
-    confounded_in_one_pass: Option<&'static str>,
 }
 
 impl ScalarCause {
@@ -99,7 +98,6 @@ impl ScalarCause {
         next_test: "",
         against: &[],
         repair: None,
-        confounded_in_one_pass: None,
     };
 }
 
@@ -271,10 +269,6 @@ impl<T: ScalarParameter> Explanation for T {
 
     fn repair_advice(&self) -> Option<&'static str> {
         T::DEFINITION.repair
-    }
-
-    fn confounded_in_one_pass(&self) -> Option<&'static str> {
-        T::DEFINITION.confounded_in_one_pass
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<FindingParameter> {

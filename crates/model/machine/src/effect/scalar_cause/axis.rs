@@ -3,11 +3,8 @@
 use super::{ScalarCause, ScalarCauseDefinition, define_scalar_cause};
 use crate::{
     effect::{
-        cause_spec::{
-            BoardTerm, FileRepresentation, LawInput, NonlinearParameter, PredictionStage, Target,
-        },
+        cause_spec::{BoardTerm, LawInput, NonlinearParameter, PredictionStage, Target},
         data_view::{DataView, StartValues},
-        drift::Drift,
     },
     sections::axis::is_negative_direction,
 };
@@ -59,7 +56,6 @@ impl ScalarCauseDefinition for PitchScale {
             "Before you correct it, look at what can be repaired. That is the pretension of a \
              screw between two bearings, and a screw or scale that is not parallel to the guide.",
         ),
-        confounded_in_one_pass: Some(Drift::NAME),
         against: &[
             (
                 "reference-temperature",
