@@ -1,19 +1,18 @@
 //! Blocks that are held out in turn, to see what a term is worth on data that it has not seen.
 //!
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
-//! the record; single rows only where there is no time and few rows, as in a table of readings, or one pass along another
-//! axis: the form of a guide has no law that goes on into a stretch that was never passed, as a screw's has.
+//! the record. Where there is no time it is single rows of few, as in a table of readings, and drawn ones of a map of guides:
+//! the form of a guide has no law that goes on into a stretch that was never passed, as a screw's has.
 
 use std::{fmt, sync::Arc};
 
-use trueup_machine::machine_file::LinearAxis;
 use trueup_numerics::{
     block_resampling::{PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, segment_indices},
     parallel::parallel_map,
+    random::RandomGenerator,
 };
 
 use crate::{
-    data::DataTable,
     fit::{FitProblem, fit},
     model::Model,
     term_kind::ModelPart,
@@ -59,9 +58,6 @@ const MIN_RUN_FOLDS: usize = 3;
 /// different kinds seldom do alike. One fewer, so that no two cuts coincide where the record changes evenly.
 const EQUAL_LENGTH_BLOCK_COUNT: usize = SEGMENT_COUNT - 1;
 
-/// Single readings are held out at most so many times: of more, each time several that lie so far apart.
-const MAX_READING_FOLDS: usize = 50;
-
 impl Folds {
     /// Returns the folds; blocks for intervals are at least five correlation times of `memory` steps long.
     pub(crate) fn new(problem: &FitProblem, memory: f64) -> Self {
@@ -92,9 +88,13 @@ impl Folds {
             let folds = if run_count > 10 { SEGMENT_COUNT } else { run_count };
             let of = |run: usize| run * folds / run_count;
             (runs.into_iter().map(of).collect(), folds, FoldUnit::Runs)
-        } else if data.time_s().is_none() && (count <= MAX_READING_FOLDS || is_guide_pass(data)) {
-            let folds = count.min(MAX_READING_FOLDS);
-            ((0..count).map(|group| group % folds).collect(), folds, FoldUnit::Readings)
+        } else if data.time_s().is_none() && count <= 50 {
+            ((0..count).collect(), count, FoldUnit::Readings)
+        } else if data.time_s().is_none() && data.setting.is_guide_map {
+            // Drawn: every sixth of a map may be one place of each of its lines.
+            let mut generator = RandomGenerator::new(count as u64);
+            let of = |_| generator.uniform_index(SEGMENT_COUNT);
+            ((0..count).map(of).collect(), SEGMENT_COUNT, FoldUnit::Readings)
         } else {
             (
                 activity_block_indices(&problem.measured, SEGMENT_COUNT),
@@ -202,13 +202,6 @@ impl Folds {
     pub(crate) fn rms_reduction(&self, before: &[f64], after: &[f64]) -> RmsReduction {
         self.blocks.rms_reduction(before, after)
     }
-}
-
-/// Returns whether the record is one pass along a guide of another axis.
-fn is_guide_pass(data: &DataTable) -> bool {
-    let setting = &data.setting;
-    let is_own = |axis: &LinearAxis| setting.quantity.axis() == Some(*axis);
-    setting.is_pass_alone && !setting.passed_axes.iter().any(is_own)
 }
 
 /// Stretches of a record that are as long as each other and in which as much happens, half each: of a

@@ -206,6 +206,27 @@ fn a_guide_that_was_passed_once_is_corrected_and_not_claimed() {
     }
 }
 
+/// A bed of 11 × 11 places, and 10 × 10 places between them. The guides alone, as tables, leave 6 µm of 14; with their tilts 2.4.
+#[test]
+fn a_map_of_a_bed_is_worth_the_same_between_its_places() {
+    let Some(path) = data("bed_mesh_troodon/mesh_101x101_mm.csv") else { return };
+    let text = std::fs::read_to_string(&path).expect("a text file");
+    let row = |line: &str| line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+    let rows: Vec<Vec<f64>> = text.lines().map(row).collect();
+    let map = |first: usize| {
+        let mut run = String::from("x_mm,y_mm,measured_dz_um\n");
+        for y in (first..101).step_by(10) {
+            for x in (first..101).step_by(10) {
+                let [x_mm, y_mm] = [x, y].map(|place| 30.0 + 2.9 * place as f64);
+                run += &format!("{x_mm:.1},{y_mm:.1},{:.2}\n", 1000.0 * rows[y][x]);
+            }
+        }
+        RunFile::from_reader(run.as_bytes(), &path).expect("a run file")
+    };
+    let diagnosis = diagnosed(HEAD, &[map(0)], &[map(5)]);
+    assert!(diagnosis.report.after.compensated_holdout_rms_um <= 4.5);
+}
+
 /// Either half of the readings of a height sensor is a parabola of 440 µm; an expert leaves 78.
 #[test]
 fn readings_on_a_parabola_are_not_called_noise() {

@@ -54,6 +54,8 @@ pub(crate) struct DataSettings {
     pub passed_axes: Vec<LinearAxis>,
     /// Whether nothing else has changed.
     pub is_pass_alone: bool,
+    /// Whether nothing has changed but where other axes than the own one are.
+    pub is_guide_map: bool,
     pub has_elongation: bool,
     /// The machine file's terms that change the quantity.
     pub stated: Vec<StatedTerm>,

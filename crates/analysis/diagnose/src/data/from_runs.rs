@@ -77,6 +77,7 @@ impl DataTable {
             files: runs.iter().map(|run| run.path().display().to_string()).collect(),
             passed_axes: Vec::new(),
             is_pass_alone: false,
+            is_guide_map: false,
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
             stated: StatedTerm::from_machine(machine, quantity),
             constants_um: StatedTerm::sum_constants_um(machine, quantity),
@@ -106,8 +107,10 @@ impl DataTable {
         input_columns::retain_input_columns(&mut data);
         let passed_axes = single_pass::passed_axes(&data);
         let is_pass_alone = single_pass::is_pass_alone(&data, &passed_axes);
+        let is_guide_map = single_pass::is_guide_map(&data);
         let setting = Arc::make_mut(&mut data.setting);
-        (setting.passed_axes, setting.is_pass_alone) = (passed_axes, is_pass_alone);
+        setting.passed_axes = passed_axes;
+        (setting.is_pass_alone, setting.is_guide_map) = (is_pass_alone, is_guide_map);
         if is_pass_alone {
             single_pass::exclude_redundant_clock(&mut data);
         }

@@ -1,5 +1,5 @@
 //! Whether the position only grows with the time: then an error over the position and one over the time are one
-//! question, whatever the clock says.
+//! question, whatever the clock says. And whether nothing but the position changes.
 
 use trueup_machine::{
     effect::{Effect, peak_to_peak},
@@ -31,17 +31,34 @@ fn goes_one_way(data: &DataTable, position_mm: &[f64]) -> bool {
 /// Returns whether all that changes in a record is the position, and that goes one way: the own axis's, or where that
 /// rests those of all that move.
 pub(super) fn is_pass_alone(data: &DataTable, passed: &[LinearAxis]) -> bool {
-    let varies = |values: &[f64]| peak_to_peak(values) > 0.0;
-    let columns = data.temperatures().iter().chain(data.unknown_columns());
-    let has_inputs = columns.map(|(_, values)| values).any(|values| varies(values))
-        || [data.spindle_rpm(), data.load_n()].into_iter().flatten().any(varies)
-        || data.setting.stated.iter().any(|stated| Effect::depends_on_time(&stated.effect));
     let own = data.setting.quantity.axis();
-    let is_passed_or_rests =
-        |axis: LinearAxis| passed.contains(&axis) || !data.position_mm(axis).is_some_and(varies);
     let is_pass = own.is_some_and(|own| passed.contains(&own))
-        || !passed.is_empty() && LinearAxis::ALL.into_iter().all(is_passed_or_rests);
-    is_pass && !has_inputs
+        || !passed.is_empty() && moved_axes(data).iter().all(|axis| passed.contains(axis));
+    is_pass && !has_other_inputs(data)
+}
+
+/// Returns whether all that changes in a record is where other axes than the own one are.
+pub(super) fn is_guide_map(data: &DataTable) -> bool {
+    let moved = moved_axes(data);
+    let is_own = |axis: &LinearAxis| data.setting.quantity.axis() == Some(*axis);
+    !moved.is_empty() && !moved.iter().any(is_own) && !has_other_inputs(data)
+}
+
+fn moved_axes(data: &DataTable) -> Vec<LinearAxis> {
+    let has_moved = |axis: &LinearAxis| data.position_mm(*axis).is_some_and(varies);
+    LinearAxis::ALL.into_iter().filter(has_moved).collect()
+}
+
+/// Returns whether anything changes that an error may depend on next to positions and the time.
+fn has_other_inputs(data: &DataTable) -> bool {
+    let columns = data.temperatures().iter().chain(data.unknown_columns());
+    columns.map(|(_, values)| values).any(|values| varies(values))
+        || [data.spindle_rpm(), data.load_n()].into_iter().flatten().any(varies)
+        || data.setting.stated.iter().any(|stated| Effect::depends_on_time(&stated.effect))
+}
+
+fn varies(values: &[f64]) -> bool {
+    peak_to_peak(values) > 0.0
 }
 
 /// Excludes the clock of a pass: it says the same as the position once more, and noise that is as slow as the pass would
