@@ -28,12 +28,12 @@ fn goes_one_way(data: &DataTable, position_mm: &[f64]) -> bool {
         && (steps().all(|step| step >= 0.0) || steps().all(|step| step <= 0.0))
 }
 
-/// Returns whether all that changes in a record is the position, and that goes one way: the own axis's, or where that
-/// rests those of all that move.
+/// Returns whether all that changes in a record is the position, and the axis whose error it is goes one way; or where that
+/// one rests another does, as the lines of a map follow each other.
 pub(super) fn is_pass_alone(data: &DataTable, passed: &[LinearAxis]) -> bool {
-    let own = data.setting.quantity.axis();
-    let is_pass = own.is_some_and(|own| passed.contains(&own))
-        || !passed.is_empty() && moved_axes(data).iter().all(|axis| passed.contains(axis));
+    let is_own = |axis: &LinearAxis| data.setting.quantity.axis() == Some(*axis);
+    let is_pass =
+        passed.iter().any(is_own) || !passed.is_empty() && !moved_axes(data).iter().any(is_own);
     is_pass && !has_other_inputs(data)
 }
 
