@@ -204,7 +204,7 @@ impl PairedReadings {
                 times.iter().map(|time| time - first).collect::<Vec<f64>>()
             })
         };
-        let axis = quantity.axis().map(|axis| format!("{}_mm", axis.name()));
+        let axis = quantity.axis().map(|axis| axis.column_name());
         let place = axis.filter(|name| off.column(name).is_some() && on.column(name).is_some());
         for (run, side) in [off, on].into_iter().zip(&mut sides) {
             let times = times(run).unwrap_or_default();

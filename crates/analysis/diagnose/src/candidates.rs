@@ -327,7 +327,7 @@ fn is_varying(data: &DataTable, column: &str) -> bool {
 /// growth that is another one at other speeds, what comes and goes after a reversal.
 pub(crate) fn propose_curve_candidates(problem: &FitProblem) -> Vec<CandidateTerm> {
     let data = &problem.data;
-    let own = data.setting.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
+    let own = data.setting.quantity.axis().map(|axis| axis.column_name());
     let turns =
         data.own_approach_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
     let over = |&(column, by_direction, times): &(&str, bool, Option<&str>)| {

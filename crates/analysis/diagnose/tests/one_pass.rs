@@ -211,3 +211,37 @@ fn a_map_of_a_bed_is_corrected_between_its_places() {
         }
     }
 }
+
+/// A round axis out of centre: one turn may be a drift, three are not, with a clock or without.
+#[test]
+fn an_error_over_a_rotary_axis_is_named_by_its_column() {
+    for (turns, has_clock) in [(1, false), (3, false), (3, true)] {
+        let mut noise = RandomGenerator::new(26);
+        let mut run = String::from(if has_clock { "time_s," } else { "" });
+        run += "c_deg,measured_dx_um\n";
+        for row in 0..36 * turns {
+            let um = 12.0 * (TAU * f64::from(row) / 36.0 + 0.3).sin() + 0.4 * noise.normal();
+            run += &if has_clock { format!("{},", 5 * row) } else { String::new() };
+            run += &format!("{},{um:.3}\n", 10 * (row % 36));
+        }
+        let diagnosis = diagnosed(&run);
+        let found = finding(&diagnosis, "dependence");
+        assert_eq!(found.column.as_deref(), Some("c_deg"), "{found:?}");
+        assert_eq!(found.claimed, turns > 1, "{found:?}");
+        assert!(diagnosis.report.after.rms_um < 1.0, "{:?}", diagnosis.report.after);
+    }
+}
+
+/// Nothing else was recorded, and no clock: what goes on from row to row is no noise.
+#[test]
+fn readings_alone_that_follow_a_curve_are_not_clean() {
+    let mut noise = RandomGenerator::new(27);
+    let mut run = String::from("measured_dx_um\n");
+    for row in 0..60 {
+        let um = 8.0 * (TAU * f64::from(row) / 50.0).sin() + 0.4 * noise.normal();
+        run += &format!("{um:.3}\n");
+    }
+    let diagnosis = diagnosed(&run);
+    assert_eq!(diagnosis.report.verdict, Verdict::Unexplained, "{:?}", diagnosis.report.reasons);
+    assert!(diagnosis.report.wandering.is_some_and(|rest| rest.memory_rows.is_some()));
+}

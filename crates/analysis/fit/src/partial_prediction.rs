@@ -146,8 +146,8 @@ pub(crate) fn restrict_to_available_columns(
 
 /// Returns whether a prediction by `machine` reads the column, but for positions, angles and directions.
 pub(crate) fn is_non_pose_input(machine: &Machine, name: &str) -> bool {
-    let is_pose = LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()))
-        || name.ends_with("_deg");
+    let is_pose =
+        LinearAxis::ALL.iter().any(|axis| name == axis.column_name()) || name.ends_with("_deg");
     let usual = ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"];
     usual.contains(&name)
         || is_temperature_column(name)

@@ -219,7 +219,7 @@ fn check_target_coverage(
 ) -> Result<(), InputFileError> {
     if let [only] = readings.targets_mm[..] {
         let rule = format!("{only} is the only position: a table needs at least 2 test points");
-        return Err(run.value_error(0, &format!("{}_mm", axis.name()), rule));
+        return Err(run.value_error(0, &axis.column_name(), rule));
     }
     if options.ways == TableMode::Both {
         let directions = [(1, "positive"), (-1, "negative")];
@@ -241,7 +241,7 @@ fn check_target_coverage(
             "cannot have a table with a step of {step_mm} mm: it must be above 0 and give at most \
              {MAX_TABLE_POINTS} points"
         );
-        return Err(run.value_error(0, &format!("{}_mm", axis.name()), rule));
+        return Err(run.value_error(0, &axis.column_name(), rule));
     }
     Ok(())
 }

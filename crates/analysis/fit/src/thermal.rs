@@ -207,7 +207,7 @@ impl ThermalData {
         let temperature_c = rows.require_column(&sensor)?;
         let time_s = rows.optional_column("time_s")?;
         let starts = rows.restart_flags(time_s.as_deref());
-        let position = format!("{}_mm", axis.name());
+        let position = axis.column_name();
         let requested_mode = options.mode.or(old.map(|old| old.mode));
         let needs_position = requested_mode.is_some_and(ThermalMode::has_position_term);
         let positions = if needs_position {

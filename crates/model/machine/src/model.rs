@@ -396,7 +396,7 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
     columns.extend(has_counts.then(|| "sensor_counts".to_string()));
     columns.append(&mut names);
     let positions = LinearAxis::ALL.into_iter().filter(|&axis| machine.needs_position(axis));
-    columns.extend(positions.map(|axis| format!("{}_mm", axis.name())));
+    columns.extend(positions.map(|axis| axis.column_name()));
     let mut turning = if machine.has_elongation() { machine.head_axes.clone() } else { Vec::new() };
     for axis in machine.volume_rotary_axes() {
         if !turning.contains(&axis) {

@@ -131,7 +131,7 @@ pub fn with_approach_directions(
 ) -> (RunFile, Vec<Warning>) {
     let mut warnings = Vec::new();
     for axis in LinearAxis::ALL {
-        let (position, direction) = (format!("{}_mm", axis.name()), format!("dir_{}", axis.name()));
+        let (position, direction) = (axis.column_name(), format!("dir_{}", axis.name()));
         let Some(values) = run.column(&position).filter(|_| run.column(&direction).is_none())
         else {
             continue;

@@ -50,8 +50,8 @@ pub(crate) struct DataSettings {
     pub quantity: Quantity,
     /// The files, as the user has named them.
     pub files: Vec<String>,
-    /// The axes that went one way all the time: an error along one of them and a drift are one question.
-    pub passed_axes: Vec<LinearAxis>,
+    /// The positions that went one way all the time, by column: an error over one of them and a drift are one question.
+    pub passed_columns: Vec<String>,
     /// Whether nothing else has changed.
     pub is_pass_alone: bool,
     /// Whether nothing has changed but where other axes than the own one are.

@@ -75,7 +75,7 @@ impl DataTable {
             machine: machine.clone(),
             quantity,
             files: runs.iter().map(|run| run.path().display().to_string()).collect(),
-            passed_axes: Vec::new(),
+            passed_columns: Vec::new(),
             is_pass_alone: false,
             is_guide_map: false,
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
@@ -105,11 +105,11 @@ impl DataTable {
             &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>(),
         );
         input_columns::retain_input_columns(&mut data);
-        let passed_axes = single_pass::passed_axes(&data);
-        let is_pass_alone = single_pass::is_pass_alone(&data, &passed_axes);
+        let passed_columns = single_pass::passed_columns(&data);
+        let is_pass_alone = single_pass::is_pass_alone(&data, &passed_columns);
         let is_guide_map = single_pass::is_guide_map(&data);
         let setting = Arc::make_mut(&mut data.setting);
-        setting.passed_axes = passed_axes;
+        setting.passed_columns = passed_columns;
         (setting.is_pass_alone, setting.is_guide_map) = (is_pass_alone, is_guide_map);
         if is_pass_alone {
             single_pass::exclude_redundant_clock(&mut data);
@@ -239,7 +239,7 @@ fn heating_columns(speed_rpm: Option<&[f64]>) -> Vec<NamedColumn> {
 }
 
 fn is_known_column(name: &str) -> bool {
-    const KNOWN_COLUMNS: [&str; 15] = [
+    const KNOWN_COLUMNS: [&str; 12] = [
         "time_s",
         "gauge_time_s",
         "run",
@@ -249,9 +249,6 @@ fn is_known_column(name: &str) -> bool {
         "x_mm",
         "y_mm",
         "z_mm",
-        "a_deg",
-        "b_deg",
-        "c_deg",
         "dir_x",
         "dir_y",
         "dir_z",

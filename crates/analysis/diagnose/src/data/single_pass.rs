@@ -7,18 +7,22 @@ use trueup_machine::{
 };
 use trueup_numerics::repeats::MIN_TABLE_POSITIONS;
 
-use super::{data_table::DataTable, table_columns::KnownColumn};
+use super::{data_table::DataTable, input_columns::is_position_column, table_columns::KnownColumn};
 
-/// Returns the axes that go one way through the whole record, and never come back to a place.
-pub(super) fn passed_axes(data: &DataTable) -> Vec<LinearAxis> {
-    let is_one_series = data.places.series.last().is_none_or(|last| *last == 0);
-    let is_passed =
-        |axis: &LinearAxis| data.position_mm(*axis).is_some_and(|mm| goes_one_way(data, mm));
-    LinearAxis::ALL.into_iter().filter(|_| is_one_series).filter(is_passed).collect()
+/// Returns the columns of positions that go one way through the whole record, and never come back to a place.
+pub(super) fn passed_columns(data: &DataTable) -> Vec<String> {
+    if data.places.series.last().is_some_and(|last| *last > 0) {
+        return Vec::new();
+    }
+    let of_axis = |axis: LinearAxis| Some((axis.column_name(), data.position_mm(axis)?));
+    let others = data.unknown_columns().iter().filter(|(name, _)| is_position_column(name));
+    let others = others.map(|(name, values)| (name.clone(), &values[..]));
+    let all = LinearAxis::ALL.into_iter().filter_map(of_axis).chain(others);
+    all.filter(|(_, position)| goes_one_way(data, position)).map(|(name, _)| name).collect()
 }
 
-fn goes_one_way(data: &DataTable, position_mm: &[f64]) -> bool {
-    let rows = position_mm.iter().zip(&*data.measured);
+fn goes_one_way(data: &DataTable, position: &[f64]) -> bool {
+    let rows = position.iter().zip(&*data.measured);
     let places: Vec<f64> =
         rows.filter(|(mm, um)| mm.is_finite() && um.is_finite()).map(|(mm, _)| *mm).collect();
     let steps = || places.windows(2).map(|pair| pair[1] - pair[0]);
@@ -30,10 +34,14 @@ fn goes_one_way(data: &DataTable, position_mm: &[f64]) -> bool {
 
 /// Returns whether all that changes in a record is the position, and the axis whose error it is goes one way; or where that
 /// one rests another does, as the lines of a map follow each other.
-pub(super) fn is_pass_alone(data: &DataTable, passed: &[LinearAxis]) -> bool {
+pub(super) fn is_pass_alone(data: &DataTable, passed: &[String]) -> bool {
     let is_own = |axis: &LinearAxis| data.setting.quantity.axis() == Some(*axis);
-    let is_pass =
-        passed.iter().any(is_own) || !passed.is_empty() && !moved_axes(data).iter().any(is_own);
+    let is_passed = |axis: &LinearAxis| passed.contains(&axis.column_name());
+    let moved = moved_axes(data);
+    let is_pass = match moved.iter().find(|axis| is_own(axis)) {
+        Some(own) => is_passed(own),
+        None => moved.iter().any(is_passed),
+    };
     is_pass && !has_other_inputs(data)
 }
 

@@ -38,7 +38,7 @@ impl SlowDrift {
 pub(crate) enum CorrelationTime {
     /// In s.
     Seconds(f64),
-    /// In rows: of a pass, where the position says what the clock says.
+    /// In rows, where there is no clock.
     Rows(f64),
 }
 
@@ -61,17 +61,13 @@ impl CorrelationTime {
 }
 
 impl SlowDrift {
-    /// Of what `found` leaves, where there is time, or rows follow each other along one pass, and nothing of it is
-    /// correlated with what was recorded.
+    /// Of what `found` leaves, where nothing of it is correlated with what was recorded.
     pub(super) fn detect(problem: &FitProblem, found: &SearchOutcome) -> Option<Self> {
-        let has_clock = problem.data.time_s().is_some();
-        if !(has_clock || problem.data.setting.is_pass_alone) || !found.lack_of_fit.is_empty() {
-            return None;
-        }
-        if !has_slow_drift(problem, found) {
+        if !found.lack_of_fit.is_empty() || !has_slow_drift(problem, found) {
             return None;
         }
         let data = &problem.data;
+        let has_clock = data.time_s().is_some();
         let rows = found.noise.memory * problem.groups.size as f64;
         Some(Self {
             rms_um: (1.0 - found.noise.white).sqrt() * found.fitted.rms(),

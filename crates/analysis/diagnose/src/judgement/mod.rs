@@ -208,9 +208,10 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<TermJudg
         doubts.extend(find_equivalent_interaction(case, cause).map(Caveat::AlternativeCause));
     }
     doubts.extend(find_insufficient_table(case, part).map(Caveat::AbsorbedByFinerTable));
-    let (own_axis, passed_axes) =
-        (problem.data.setting.quantity.axis(), &problem.data.setting.passed_axes);
-    let rival = cause.cause().and_then(|effect| effect.rival_in_one_pass(own_axis, passed_axes));
+    let setting = &problem.data.setting;
+    let rival = cause.cause().and_then(|effect| {
+        effect.rival_in_one_pass(setting.quantity.axis(), &setting.passed_columns)
+    });
     doubts.extend(rival.map(Caveat::SinglePass));
     let repeat_evidence = evaluate_repeats(case, cause);
     match &repeat_evidence {

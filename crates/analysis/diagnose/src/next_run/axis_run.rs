@@ -137,7 +137,7 @@ impl AxisForecaster {
         axis: LinearAxis,
         gauge: ReadingMethod,
     ) -> Result<Self, &'static str> {
-        let position = format!("{}_mm", axis.name());
+        let position = axis.column_name();
         let direction = format!("dir_{}", axis.name());
         let whole = |name: &str| -> Vec<f64> {
             let all = runs.iter().filter_map(|run| run.column(name)).flatten();

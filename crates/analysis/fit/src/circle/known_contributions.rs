@@ -65,8 +65,7 @@ pub(crate) fn subtract_prediction(
         if rows.is_empty() {
             continue;
         }
-        let positions =
-            |name: &str| LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()));
+        let positions = |name: &str| LinearAxis::ALL.iter().any(|axis| name == axis.column_name());
         let (used, missing) = restrict_to_available_columns(&own, |name| {
             positions(name) || run.column(name).is_some()
         });
@@ -127,7 +126,7 @@ fn build_run_with_directions(
         let row = &record.rows[*at];
         let (mut mm, mut dir) = ([0.0; 3], [1.0; 3]);
         for axis in LinearAxis::ALL {
-            let stated = run.column(&format!("{}_mm", axis.name()));
+            let stated = run.column(&axis.column_name());
             mm[axis.index()] = stated.map_or(0.0, |all| all[row.source[1]]);
         }
         let velocity = [-row.angle.sin(), row.angle.cos()];

@@ -79,7 +79,7 @@ pub(crate) fn extract_circle_records(
 }
 
 fn position_column(run: &RunFile, axis: LinearAxis) -> Option<&[f64]> {
-    run.column(&format!("{}_mm", axis.name()))
+    run.column(&axis.column_name())
 }
 
 /// Returns the groups of rows with one `run` and `setup`, each in one plane.

@@ -249,7 +249,7 @@ impl DiagonalRun<'_> {
         let positions: Vec<&[f64]> = self
             .axes
             .iter()
-            .map(|axis| self.run.require_column(&format!("{}_mm", axis.name())))
+            .map(|axis| self.run.require_column(&axis.column_name()))
             .collect::<Result<_, _>>()?;
         let there: Vec<usize> = (0..errors.len())
             .filter(|&row| {

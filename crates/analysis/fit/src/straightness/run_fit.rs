@@ -50,7 +50,7 @@ pub fn fit_straightness_run(
     let column = error_column_name(error);
     let errors = run.require_column(&column)?;
     let along = find_moving_axis(run, error, errors)?;
-    let position_column = format!("{}_mm", along.name());
+    let position_column = along.column_name();
     let positions = run.require_column(&position_column)?;
 
     let there = |row: &usize| !positions[*row].is_nan() && !errors[*row].is_nan();
@@ -107,7 +107,7 @@ pub(super) fn resolve_error_axis(
 /// Returns the axes whose positions a run has, each with how far it goes in mm where the error is measured.
 fn axis_travels(run: &UncompensatedRun<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     let travel = |axis: LinearAxis| -> Option<f64> {
-        let positions = run.column(&format!("{}_mm", axis.name()))?.iter().zip(errors);
+        let positions = run.column(&axis.column_name())?.iter().zip(errors);
         let there = positions.filter(|(x, y)| !x.is_nan() && !y.is_nan()).map(|(&x, _)| x);
         let (low, high) = there
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
@@ -146,8 +146,7 @@ fn find_moving_axis(
             Err(whole("no column has a position: one of x_mm, y_mm, z_mm is needed".into()))
         }
         [] => {
-            let names: Vec<String> =
-                travels.iter().map(|(axis, _)| format!("{}_mm", axis.name())).collect();
+            let names: Vec<String> = travels.iter().map(|(axis, _)| axis.column_name()).collect();
             let verb = if names.len() == 1 { "stays" } else { "stay" };
             Err(whole(format!(
                 "no axis moves: {} {verb} the same where {} is measured",

@@ -96,7 +96,7 @@ impl<'r> RunColumns<'r> {
     ) -> Result<Self, InputFileError> {
         let mut position_mm = [[].as_slice(); 3];
         for (values, axis) in position_mm.iter_mut().zip(LinearAxis::ALL) {
-            *values = run.require_column(&format!("{}_mm", axis.name()))?;
+            *values = run.require_column(&axis.column_name())?;
         }
         let angle_deg = RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name())));
         for axis in machine

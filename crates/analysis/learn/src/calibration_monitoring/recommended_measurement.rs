@@ -54,7 +54,7 @@ pub(super) fn recommend_next_measurement(
         (ExplanatoryVariable::Speed, column("spindle_rpm").map(squared)),
     ];
     if let ComparisonKind::Axis(axis) = apart.compared {
-        all.push((ExplanatoryVariable::Position, column(&format!("{}_mm", axis.name()))));
+        all.push((ExplanatoryVariable::Position, column(&axis.column_name())));
         all.push((ExplanatoryVariable::Direction, column(&format!("dir_{}", axis.name()))));
     }
     let with = all.into_iter().filter_map(|(cause, values)| {

@@ -121,7 +121,7 @@ fn s7_full_scale_warning(run: &RunFile, column: &RunColumn, machine: &Machine) -
 fn axis_travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64; 2])> {
     let axes = LinearAxis::ALL.into_iter().filter_map(|axis| {
         let travel_mm = machine.axes[axis.index()].travel_mm?;
-        let name = format!("{}_mm", axis.name());
+        let name = axis.column_name();
         let column = run.columns().iter().find(|column| column.name == name)?;
         Some((name, value_range(column)?, travel_mm))
     });

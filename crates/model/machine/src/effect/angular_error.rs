@@ -184,7 +184,7 @@ impl Candidate for AngularError {
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let others = survey.other_moving_axes();
         for &lever in &others {
-            let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
+            let of = |axis: LinearAxis| survey.column(&axis.column_name());
             let lever_mm = of(lever).unwrap_or(&[]);
             let own = survey.own_position_mm().filter(|mm| peak_to_peak(mm) > 0.0);
             let across = others.iter().filter(|&&axis| axis != lever);

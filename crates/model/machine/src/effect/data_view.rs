@@ -177,9 +177,7 @@ impl dyn DataView + '_ {
     pub(crate) fn other_moving_axes(&self) -> Vec<LinearAxis> {
         let Some(own) = self.quantity().axis() else { return Vec::new() };
         let others = LinearAxis::ALL.into_iter();
-        others
-            .filter(|&axis| axis != own && self.is_varying(&format!("{}_mm", axis.name())))
-            .collect()
+        others.filter(|&axis| axis != own && self.is_varying(&axis.column_name())).collect()
     }
 }
 

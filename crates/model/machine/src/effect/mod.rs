@@ -332,7 +332,7 @@ impl Effect {
             LawInput::Speed | LawInput::SpeedHeat { .. } => Some("spindle_rpm".into()),
             LawInput::Load => Some("load_n".into()),
             LawInput::Feed => Some(feed_dependent_backlash::FEED_COLUMN.into()),
-            LawInput::Position(axis) => Some(format!("{}_mm", axis.name())),
+            LawInput::Position(axis) => Some(axis.column_name()),
             LawInput::Column(column) | LawInput::Lagged { column, .. } => Some(column.into()),
             _ => None,
         }
@@ -340,7 +340,7 @@ impl Effect {
 
     /// Returns the columns that a run must have for it, but for directions.
     pub(crate) fn required_columns(&self, quantity: Quantity) -> Vec<String> {
-        let position = |axis: LinearAxis| format!("{}_mm", axis.name());
+        let position = |axis: LinearAxis| axis.column_name();
         let mut columns = Vec::new();
         for input in self.required_inputs() {
             match input {

@@ -106,8 +106,7 @@ impl RangeLimited {
 
     /// Returns what is read of the run for the range.
     fn input(&self) -> LawInput<'_> {
-        let axis =
-            LinearAxis::ALL.into_iter().find(|axis| self.column == format!("{}_mm", axis.name()));
+        let axis = LinearAxis::ALL.into_iter().find(|axis| self.column == axis.column_name());
         match (&self.column[..], axis) {
             (_, Some(axis)) => LawInput::Position(axis),
             (SPEED_COLUMN, _) => LawInput::Speed,

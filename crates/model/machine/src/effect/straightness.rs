@@ -121,7 +121,7 @@ impl Candidate for Straightness {
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for along in survey.other_moving_axes() {
-            let column = format!("{}_mm", along.name());
+            let column = along.column_name();
             let at = find_distinct_values(survey.column(&column).unwrap_or(&[]), 1e-3);
             let mut try_knots = |knots_mm: Vec<f64>| {
                 let controls = knots_mm.len() - 4;

@@ -29,6 +29,12 @@ impl LinearAxis {
     pub fn index(self) -> usize {
         self as usize
     }
+
+    /// Returns the column of a run that has its position.
+    #[must_use]
+    pub fn column_name(self) -> String {
+        format!("{}_mm", self.name())
+    }
 }
 
 choice! {
