@@ -112,6 +112,22 @@ fn one_row_two_rows_and_a_single_pass_are_too_little_and_it_is_said_what_would_d
     }
 }
 
+/// As `fit backlash` asks for it: one place, seven times from each side.
+#[test]
+fn a_backlash_at_one_place_is_found() {
+    let mut noise = RandomGenerator::new(8);
+    let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
+    for approach in 0..14 {
+        let (way, um) = if approach % 2 == 0 { (1, 0.0) } else { (-1, 3.0) };
+        let _ = writeln!(text, "100,{way},{:.3}", um + 0.4 * noise.normal());
+    }
+    let report = diagnosed(MACHINE, &text).report;
+    assert_eq!(report.verdict, Verdict::Explained, "{:?}", report.reasons);
+    assert_eq!((report.findings[0].cause.as_str(), report.findings[0].claimed), ("backlash", true));
+    let width_um = report.findings[0].parameters["width_um"]["value"].as_f64().expect("a number");
+    assert!((width_um - 3.0).abs() < 0.5, "{width_um}");
+}
+
 /// 80 positions 0.5 mm apart, each pass over them from the same side: 20 µm RMS that go on from one to the next,
 /// e^(−1/13) of each, and 0.5 µm of noise.
 fn passes(count: usize, seed: u64) -> String {

@@ -15,11 +15,15 @@ const BIDIRECTIONAL_TEST: &str =
 const AXIS_CAUSE_DEFAULTS: ScalarCause =
     ScalarCause { target: Target::Axis, ..ScalarCause::DEFAULT };
 
-/// A backlash where the axis has a screw and was approached from both sides.
+/// A backlash where the axis has a screw and was approached from both sides, be it at one place.
 fn propose_backlash(survey: &dyn DataView) -> Option<(f64, StartValues)> {
-    let has_backlash =
-        survey.has_own_axis_moved() && survey.is_bidirectional() && survey.has_screw_feedback();
+    let has_backlash = survey.is_bidirectional() && survey.has_screw_feedback();
     has_backlash.then(|| (0.0, StartValues::linear_only()))
+}
+
+/// One that differs from place to place.
+fn propose_uneven_backlash(survey: &dyn DataView) -> Option<(f64, StartValues)> {
+    propose_backlash(survey).filter(|_| survey.has_own_axis_moved())
 }
 
 define_scalar_cause! {
@@ -118,7 +122,7 @@ impl ScalarCauseDefinition for PositionDependentBacklash {
             BoardTerm::Reversed { um_per_m, .. } if um_per_m != 0.0 => Some(um_per_m),
             _ => None,
         },
-        propose: propose_backlash,
+        propose: propose_uneven_backlash,
         sentence: |um| format!("The backlash changes by {um:+.2} µm over a metre of the axis."),
         next_test: BIDIRECTIONAL_TEST,
         ..AXIS_CAUSE_DEFAULTS
