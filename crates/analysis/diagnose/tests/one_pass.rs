@@ -245,3 +245,26 @@ fn readings_alone_that_follow_a_curve_are_not_clean() {
     assert_eq!(diagnosis.report.verdict, Verdict::Unexplained, "{:?}", diagnosis.report.reasons);
     assert!(diagnosis.report.wandering.is_some_and(|rest| rest.memory_rows.is_some()));
 }
+
+/// 15 lines of 15 places, with a clock and without: whatever the noise remembers, no guide is found in it.
+#[test]
+fn what_wanders_along_a_map_is_not_taken_for_a_guide() {
+    for (seed, memory_rows) in (40..48).zip([5.0, 15.0, 40.0, 100.0].into_iter().cycle()) {
+        let mut noise = RandomGenerator::new(seed);
+        let has_clock = seed < 44;
+        let (mut slow_um, kept) = (0.0, (-1.0_f64 / memory_rows).exp());
+        let mut run = String::from(if has_clock { "time_s," } else { "" });
+        run += "x_mm,y_mm,measured_dz_um\n";
+        for place in 0..225 {
+            let (line, on_line) = (place / 15, place % 15);
+            let on_line = if line % 2 == 0 { on_line } else { 14 - on_line };
+            slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
+            run += &if has_clock { format!("{},", 4 * place) } else { String::new() };
+            let um = slow_um + 0.4 * noise.normal();
+            run += &format!("{},{},{um:.3}\n", 20 * on_line, 20 * line);
+        }
+        let diagnosis = diagnosed(&run);
+        assert!(diagnosis.terms.is_empty(), "{seed}: {:?}", diagnosis.terms);
+        assert!(diagnosis.report.findings.iter().all(|finding| !finding.claimed), "{seed}");
+    }
+}
