@@ -189,7 +189,7 @@ fn a_map_of_a_bed_is_corrected_between_its_places() {
             let (line, on_line) = (place / places, place % places);
             let on_line = if line % 2 == 0 { on_line } else { places - 1 - on_line };
             let [x_mm, y_mm] = [on_line, line].map(|number| from_mm + 20.0 * number as f64);
-            let guides = 9.0 * (TAU * x_mm / 500.0).sin() + 14.0 * (TAU * y_mm / 430.0).cos();
+            let guides = 9.0 * (TAU * x_mm / 500.0).sin() + 14.0 * (TAU * y_mm / 150.0).cos();
             let um = guides + 1e-4 * (x_mm - 140.0) * y_mm + 0.3 * noise.normal();
             run += &if has_clock { format!("{},", 4 * place) } else { String::new() };
             run += &format!("{x_mm},{y_mm},{um:.3}\n");
