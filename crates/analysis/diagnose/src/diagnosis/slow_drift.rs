@@ -117,6 +117,7 @@ impl fmt::Display for SlowDrift {
         match self.memory {
             CorrelationTime::Seconds(seconds) if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
             CorrelationTime::Seconds(seconds) => write!(f, "{:.0} minutes", seconds / 60.0)?,
+            CorrelationTime::Rows(rows) if rows < 1.5 => f.write_str("one row")?,
             CorrelationTime::Rows(rows) => write!(f, "{rows:.0} rows")?,
         }
         f.write_str("; no recorded input explains it")?;
