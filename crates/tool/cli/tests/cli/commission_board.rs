@@ -209,6 +209,8 @@ fn the_real_firmware_is_commissioned_in_three_sittings() {
     let before_um = shop.gauge_um();
     shop.at_the_cnc("engage");
     terminal.shows(&["how far has the housing moved, in µm"]);
+    // The plant gets an offset a step after the bridge has sent it; on a loaded machine the terminal is faster.
+    shop.live(500);
     let moved_um = shop.gauge_um() - before_um;
     terminal.press(&format!("{moved_um:.1}\r"));
     terminal.shows(&["the sign is right", "disengage at the CNC"]);
