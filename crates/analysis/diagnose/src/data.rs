@@ -40,7 +40,9 @@ mod table_columns;
 
 pub(crate) use channel_faults::MIN_PAUSE_INTERVALS;
 pub(crate) use data_table::{DataTable, ParentTable, RowPredictions};
-pub(crate) use input_columns::{MAX_DUPLICATE_VARIANCE_FRACTION, is_linearly_equivalent};
+pub(crate) use input_columns::{
+    MAX_DUPLICATE_VARIANCE_FRACTION, is_linearly_equivalent, is_position_column,
+};
 pub(crate) use lag_filter::{first_finite_or_zero, forward_fill};
 pub(crate) use quantity::resolve_quantity;
 pub(crate) use row_groups::RowGroups;

@@ -2,7 +2,8 @@
 //!
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
 //! the record. Where there is no time it is single rows of few, as in a table of readings, and drawn ones of a map of guides:
-//! the form of a guide has no law that goes on into a stretch that was never passed, as a screw's has.
+//! the form of a guide has no law that goes on into a stretch that was never passed, as a screw's has. Where something else
+//! changes too, each term is judged by its own inputs: guides by drawn rows, the rest by stretches of what they leave.
 
 use std::{fmt, sync::Arc};
 
@@ -24,6 +25,8 @@ pub(crate) struct Folds {
     of_group: Vec<usize>,
     /// Of a record cut into stretches: the same in stretches of another kind.
     otherwise: Option<(Vec<usize>, usize)>,
+    /// Of a map of guides cut into stretches: the fold of each group for the guides.
+    for_guides: Option<Vec<usize>>,
     pub count: usize,
     pub unit: FoldUnit,
     /// Finer blocks, for intervals.
@@ -76,6 +79,9 @@ impl Folds {
         let data = &problem.data;
         let runs = run_index_by_group(&groups.first_row, data.run_numbers());
         let run_count = runs.iter().max().map_or(0, |most| most + 1);
+        // What comes again to its places at another time is judged as all else is.
+        let is_map = data.setting.is_guide_map
+            && (data.time_s().is_none() || !data.setting.passed_columns.is_empty());
         let (of_group, count_folds, unit) = if data.setting.files.len() > 1 {
             let file_of = |&row: &usize| data.places.file[row] as usize;
             (
@@ -90,11 +96,8 @@ impl Folds {
             (runs.into_iter().map(of).collect(), folds, FoldUnit::Runs)
         } else if data.time_s().is_none() && count <= 50 {
             ((0..count).collect(), count, FoldUnit::Readings)
-        } else if data.time_s().is_none() && data.setting.is_guide_map {
-            // Drawn: every sixth of a map may be one place of each of its lines.
-            let mut generator = RandomGenerator::new(count as u64);
-            let of = |_| generator.uniform_index(SEGMENT_COUNT);
-            ((0..count).map(of).collect(), SEGMENT_COUNT, FoldUnit::Readings)
+        } else if is_map && !data.setting.has_other_inputs {
+            (drawn_block_indices(count), SEGMENT_COUNT, FoldUnit::Readings)
         } else {
             (
                 activity_block_indices(&problem.measured, SEGMENT_COUNT),
@@ -104,8 +107,9 @@ impl Folds {
         };
         let otherwise = (unit == FoldUnit::Segments)
             .then(|| (segment_indices(count, EQUAL_LENGTH_BLOCK_COUNT), EQUAL_LENGTH_BLOCK_COUNT));
+        let for_guides = (unit == FoldUnit::Segments && is_map).then(|| drawn_block_indices(count));
         let blocks = RowBlocks::new(count, memory);
-        Self { of_group, otherwise, count: count_folds, unit, blocks }
+        Self { of_group, otherwise, for_guides, count: count_folds, unit, blocks }
     }
 
     /// Returns whether each group is in the second half: of the files or runs where they are held out, else of the
@@ -126,7 +130,7 @@ impl Folds {
 
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn.
     pub(crate) fn held_out_residuals(&self, problem: &FitProblem, model: &Model) -> Vec<f64> {
-        let first = cached_cross_validation(problem, model, &self.of_group, self.count);
+        let first = self.cross_validation(problem, model, &self.of_group, self.count);
         self.root_mean_square_residuals(problem, model, &first.0)
     }
 
@@ -139,7 +143,7 @@ impl Folds {
         first: &[f64],
     ) -> Vec<f64> {
         let Some((of_group, count)) = &self.otherwise else { return first.to_vec() };
-        let second = cached_cross_validation(problem, model, of_group, *count);
+        let second = self.cross_validation(problem, model, of_group, *count);
         let mean = |(a, b): (&f64, &f64)| (0.5 * (a * a + b * b)).sqrt().copysign(*a);
         first.iter().zip(&second.0).map(mean).collect()
     }
@@ -155,7 +159,7 @@ impl Folds {
         if model.parts.is_empty() {
             return problem.residual(model);
         }
-        let left_out = cached_cross_validation(problem, model, &self.of_group, self.count);
+        let left_out = self.cross_validation(problem, model, &self.of_group, self.count);
         let (residual, models) = &*left_out;
         if run(model) == *model {
             return residual.clone();
@@ -180,8 +184,28 @@ impl Folds {
         problem: &FitProblem,
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
-        let first = cached_cross_validation(problem, model, &self.of_group, self.count);
+        let first = self.cross_validation(problem, model, &self.of_group, self.count);
         (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
+    }
+
+    /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn; with the models.
+    fn cross_validation(
+        &self,
+        problem: &FitProblem,
+        model: &Model,
+        of_group: &[usize],
+        count: usize,
+    ) -> Arc<(Vec<f64>, Vec<Model>)> {
+        let Some(drawn) = self.for_guides.as_deref().filter(|_| model.parts.iter().any(is_guide))
+        else {
+            return cached_cross_validation(problem, model, of_group, count);
+        };
+        let guides = cached_cross_validation(problem, model, drawn, SEGMENT_COUNT);
+        let what = format!("{count} folds held out, of guides drawn ones");
+        problem.memoise(&what, model, || {
+            let held_out = GuidesHeldOut { drawn, models: &guides.1 };
+            held_out.cross_validate_rest(problem, model, of_group, count)
+        })
     }
 
     /// Returns what `after` leaves less of the squares than `before` in the last stretch of a record; none where
@@ -201,6 +225,69 @@ impl Folds {
     /// Returns the reduction of the RMS from `before` to `after`, both in groups.
     pub(crate) fn rms_reduction(&self, before: &[f64], after: &[f64]) -> RmsReduction {
         self.blocks.rms_reduction(before, after)
+    }
+}
+
+/// Drawn groups: every sixth of a map may be one place of each of its lines.
+fn drawn_block_indices(groups: usize) -> Vec<usize> {
+    let mut generator = RandomGenerator::new(groups as u64);
+    (0..groups).map(|_| generator.uniform_index(SEGMENT_COUNT)).collect()
+}
+
+/// Returns whether a part of the model of a map of guides is one of them.
+fn is_guide(part: &ModelPart) -> bool {
+    part.kind.depends_on_positions_alone()
+}
+
+/// A model that was fitted without each of the folds that were drawn for its guides.
+struct GuidesHeldOut<'g> {
+    drawn: &'g [usize],
+    models: &'g [Model],
+}
+
+impl GuidesHeldOut<'_> {
+    /// Holds out the rest of the model where the guides, each group as predicted without it, are taken away. Returns what is
+    /// left in each group, and the models: of each the guides without a drawn fold, and the rest without a fold.
+    fn cross_validate_rest(
+        &self,
+        problem: &FitProblem,
+        model: &Model,
+        of_group: &[usize],
+        count: usize,
+    ) -> (Vec<f64>, Vec<Model>) {
+        let without_guides = |model: &Model| {
+            let mut rest = model.clone();
+            rest.parts.retain(|part| !is_guide(part));
+            rest
+        };
+        let of_guides: Vec<Vec<f64>> = self
+            .models
+            .iter()
+            .map(|model| {
+                let whole = problem.predict(model).into_iter();
+                let rest = problem.predict(&without_guides(model));
+                let mut um: Vec<f64> = whole.zip(rest).map(|(whole, rest)| whole - rest).collect();
+                // The level of a guide is the zero of the measurement's, where that is free.
+                let level =
+                    model.constant_um.map_or(0.0, |_| um.iter().sum::<f64>() / um.len() as f64);
+                um.iter_mut().for_each(|um| *um -= level);
+                um
+            })
+            .collect();
+        let groups = problem.measured.iter().zip(self.drawn).enumerate();
+        let measured = groups.map(|(group, (um, &fold))| um - of_guides[fold][group]).collect();
+        let (residual, mut models) = cross_validate(
+            &problem.with_measured(measured),
+            &without_guides(model),
+            of_group,
+            count,
+        );
+        for (rest, guides) in models.iter_mut().zip(self.models) {
+            let guides = guides.parts.iter().filter(|part| is_guide(part));
+            rest.parts.extend(guides.cloned());
+            rest.sort_parts();
+        }
+        (residual, models)
     }
 }
 

@@ -5,14 +5,14 @@
 //! amplitudes, all of which are 0 where there is no effect.
 
 use trueup_machine::{
-    effect::{BoardTerm, Effect, HeatPath, NonlinearParameter, PredictionStage, Target},
+    effect::{BoardTerm, Effect, HeatPath, LawInput, NonlinearParameter, PredictionStage, Target},
     machine_file::{PitchErrorTable, Quantity, ThermalLaw},
 };
 
 #[cfg(test)]
 use trueup_machine::effect::TemperatureResponse;
 
-use crate::data::{DataTable, StatedTerm};
+use crate::data::{DataTable, StatedTerm, is_position_column};
 
 /// A cause, neutral, with what is fixed about it; or one of the machine file; or a test of structure.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,6 +116,22 @@ impl TermKind {
             let is_of_clock = effect.depends_on_time() && !effect.has_time_constant();
             !is_of_clock && !effect.is_constant() && effect.stage() != PredictionStage::Bend
         })
+    }
+
+    /// Returns whether it depends on where the axes are, and on nothing else.
+    pub(crate) fn depends_on_positions_alone(&self) -> bool {
+        let is_position = |input: &LawInput<'_>| match input {
+            LawInput::Position(_) | LawInput::OwnPosition | LawInput::OwnDirection => true,
+            LawInput::Column(column) => is_position_column(column),
+            _ => false,
+        };
+        match self {
+            Self::Curve(curve) => is_position_column(&curve.column) && curve.times.is_none(),
+            _ => self.cause().is_some_and(|effect| {
+                let inputs = effect.required_inputs();
+                !inputs.is_empty() && inputs.iter().all(is_position)
+            }),
+        }
     }
 
     /// Returns whether it may be a part of `open`, a term that is not settled. What has no input of its own may be part of

@@ -13,9 +13,13 @@ use trueup_numerics::random::RandomGenerator;
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
 fn diagnosed(run: &str) -> Diagnosis {
-    let machine = MachineFile::parse(HEAD, Path::new("m.toml")).expect("the test's own file");
     let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("the test's own run");
-    diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable")
+    diagnosed_runs(&[run], &[])
+}
+
+fn diagnosed_runs(runs: &[RunFile], held_out: &[RunFile]) -> Diagnosis {
+    let machine = MachineFile::parse(HEAD, Path::new("m.toml")).expect("the test's own file");
+    diagnose(&machine, runs, held_out, None, &mut |_, _| {}).expect("comparable")
 }
 
 fn finding<'d>(diagnosis: &'d Diagnosis, cause: &str) -> &'d Finding {
@@ -178,29 +182,63 @@ fn the_form_of_a_guide_is_found_with_few_rows_and_with_many() {
     }
 }
 
-/// A bed in lines along x, one after the other along y: two guides, and a tilt of the second one.
+/// What a record of a map has next to its places.
+#[derive(Clone, Copy)]
+struct Recorded {
+    clock: bool,
+    /// The bed's, in °C, at each share of the map.
+    bed_c: Option<fn(f64) -> f64>,
+}
+
+const RECORDED: [Recorded; 4] = [
+    Recorded { clock: true, bed_c: None },
+    Recorded { clock: false, bed_c: None },
+    Recorded { clock: true, bed_c: Some(|share| 21.0 + 2.0 * share) },
+    Recorded { clock: false, bed_c: Some(|share| 21.0 + 2.0 * share) },
+];
+
+/// Returns the record of a map in lines along x, there and back, one after the other along y, 20 mm apart; the error at each
+/// place and bed temperature.
+fn map(
+    recorded: Recorded,
+    from_mm: f64,
+    places: usize,
+    mut error_um: impl FnMut([f64; 2], f64) -> f64,
+) -> RunFile {
+    let Recorded { clock, bed_c } = recorded;
+    let mut resolution = RandomGenerator::new(28);
+    let mut run = String::from(if clock { "time_s," } else { "" });
+    run += if bed_c.is_some() {
+        "temp_bed_c,x_mm,y_mm,measured_dz_um\n"
+    } else {
+        "x_mm,y_mm,measured_dz_um\n"
+    };
+    for place in 0..places * places {
+        let (line, on_line) = (place / places, place % places);
+        let on_line = if line % 2 == 0 { on_line } else { places - 1 - on_line };
+        let at_mm = [on_line, line].map(|number| from_mm + 20.0 * number as f64);
+        let share = place as f64 / (places * places) as f64;
+        let bed_c = bed_c.map(|bed_c| bed_c(share) + 0.02 * resolution.normal());
+        run += &if clock { format!("{},", 4 * place) } else { String::new() };
+        run += &bed_c.map_or(String::new(), |bed_c| format!("{bed_c:.3},"));
+        let um = error_um(at_mm, bed_c.unwrap_or_default());
+        run += &format!("{},{},{um:.3}\n", at_mm[0], at_mm[1]);
+    }
+    RunFile::from_reader(run.as_bytes(), Path::new("map.csv")).expect("the test's own run")
+}
+
+/// A bed: two guides, and a tilt of the second one. A clock or a thermometer that was read too changes nothing.
 #[test]
 fn a_map_of_a_bed_is_corrected_between_its_places() {
-    let mut noise = RandomGenerator::new(25);
-    let mut map = |has_clock: bool, from_mm: f64, places: usize| {
-        let mut run = String::from(if has_clock { "time_s," } else { "" });
-        run += "x_mm,y_mm,measured_dz_um\n";
-        for place in 0..places * places {
-            let (line, on_line) = (place / places, place % places);
-            let on_line = if line % 2 == 0 { on_line } else { places - 1 - on_line };
-            let [x_mm, y_mm] = [on_line, line].map(|number| from_mm + 20.0 * number as f64);
-            let guides = 9.0 * (TAU * x_mm / 500.0).sin() + 14.0 * (TAU * y_mm / 150.0).cos();
-            let um = guides + 1e-4 * (x_mm - 140.0) * y_mm + 0.3 * noise.normal();
-            run += &if has_clock { format!("{},", 4 * place) } else { String::new() };
-            run += &format!("{x_mm},{y_mm},{um:.3}\n");
-        }
-        RunFile::from_reader(run.as_bytes(), Path::new("map.csv")).expect("the test's own run")
-    };
-    let machine = MachineFile::parse(HEAD, Path::new("m.toml")).expect("the test's own file");
-    for has_clock in [true, false] {
-        let (run, between) = (map(has_clock, 20.0, 15), map(has_clock, 30.0, 14));
-        let diagnosis =
-            diagnose(&machine, &[run], &[between], None, &mut |_, _| {}).expect("comparable");
+    for recorded in RECORDED {
+        let mut noise = RandomGenerator::new(25);
+        let mut bed = |from_mm: f64, places: usize| {
+            map(recorded, from_mm, places, |[x_mm, y_mm], _| {
+                let guides = 9.0 * (TAU * x_mm / 500.0).sin() + 14.0 * (TAU * y_mm / 150.0).cos();
+                guides + 1e-4 * (x_mm - 140.0) * y_mm + 0.3 * noise.normal()
+            })
+        };
+        let diagnosis = diagnosed_runs(&[bed(20.0, 15)], &[bed(30.0, 14)]);
         let (before, after) = (&diagnosis.report.before, &diagnosis.report.after);
         println!("{:.2} -> {:.2} µm", before.holdout_rms_um, after.compensated_holdout_rms_um);
         assert!(after.compensated_holdout_rms_um < 0.1 * before.holdout_rms_um, "{after:?}");
@@ -209,6 +247,29 @@ fn a_map_of_a_bed_is_corrected_between_its_places() {
             let is_along_x = finding.column.as_deref() == Some("x_mm");
             assert_eq!(finding.claimed, is_along_x || finding.cause != "straightness");
         }
+    }
+}
+
+/// A bed that warms by 4 µm/°C, up and down, while the map is measured: of it and the guide neither hides the other.
+#[test]
+fn a_map_of_a_bed_that_warms_is_corrected_by_its_thermometer_too() {
+    for clock in [true, false] {
+        let recorded = Recorded { clock, bed_c: Some(|share| 22.0 + (TAU * 2.3 * share).sin()) };
+        let mut noise = RandomGenerator::new(29);
+        let mut bed = |from_mm: f64, places: usize| {
+            map(recorded, from_mm, places, |[x_mm, _], bed_c| {
+                9.0 * (TAU * x_mm / 250.0).sin() + 4.0 * (bed_c - 22.0) + 0.3 * noise.normal()
+            })
+        };
+        let diagnosis = diagnosed_runs(&[bed(20.0, 15)], &[bed(30.0, 14)]);
+        let after_um = diagnosis.report.after.compensated_holdout_rms_um;
+        println!("{:.2} -> {after_um:.2} µm", diagnosis.report.before.holdout_rms_um);
+        assert!(after_um < 1.0, "{clock}: {after_um}");
+        let has = |column: &str| {
+            let mut findings = diagnosis.report.findings.iter();
+            findings.any(|finding| finding.column.as_deref() == Some(column) && finding.claimed)
+        };
+        assert!(has("temp_bed_c") && has("x_mm"), "{:?}", diagnosis.report.findings);
     }
 }
 
@@ -246,24 +307,20 @@ fn readings_alone_that_follow_a_curve_are_not_clean() {
     assert!(diagnosis.report.wandering.is_some_and(|rest| rest.memory_rows.is_some()));
 }
 
-/// 15 lines of 15 places, with a clock and without: whatever the noise remembers, no guide is found in it.
+/// 15 lines of 15 places, with a clock or a thermometer and without: whatever the noise remembers, no guide is found in it.
 #[test]
 fn what_wanders_along_a_map_is_not_taken_for_a_guide() {
-    for (seed, memory_rows) in (40..48).zip([5.0, 15.0, 40.0, 100.0].into_iter().cycle()) {
+    for (seed, memory_rows) in (40..56).zip([5.0, 15.0, 40.0, 100.0].into_iter().cycle()) {
         let mut noise = RandomGenerator::new(seed);
-        let has_clock = seed < 44;
         let (mut slow_um, kept) = (0.0, (-1.0_f64 / memory_rows).exp());
-        let mut run = String::from(if has_clock { "time_s," } else { "" });
-        run += "x_mm,y_mm,measured_dz_um\n";
-        for place in 0..225 {
-            let (line, on_line) = (place / 15, place % 15);
-            let on_line = if line % 2 == 0 { on_line } else { 14 - on_line };
-            slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
-            run += &if has_clock { format!("{},", 4 * place) } else { String::new() };
-            let um = slow_um + 0.4 * noise.normal();
-            run += &format!("{},{},{um:.3}\n", 20 * on_line, 20 * line);
-        }
-        let diagnosis = diagnosed(&run);
+        let recorded = RECORDED[(seed as usize - 40) / 4];
+        let diagnosis = diagnosed_runs(
+            &[map(recorded, 0.0, 15, |_, _| {
+                slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
+                slow_um + 0.4 * noise.normal()
+            })],
+            &[],
+        );
         assert!(diagnosis.terms.is_empty(), "{seed}: {:?}", diagnosis.terms);
         assert!(diagnosis.report.findings.iter().all(|finding| !finding.claimed), "{seed}");
     }

@@ -1,4 +1,5 @@
-//! Builds all test programs once, and runs them two at a time.
+//! Builds all test programs once, and runs them three at a time: those that only compute give way to those that wait for a
+//! clock, for LinuxCNC or for a board.
 //!
 //! Every tier takes the same programs, of one profile and with the same features, so that nothing is
 //! compiled for a second tier. A program runs its tests one after the other: so the time between two
@@ -27,11 +28,11 @@ use crate::{cargo, test_results::TestResults};
 
 /// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
 const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
-/// How many run at a time.
-const MAX_PARALLEL_PROGRAMS: usize = 2;
 /// One LinuxCNC runs at a time, and it mostly waits for its axes: one worker takes the programs that start it, with this in
-/// their names, so that the other does not stand behind it.
+/// their names, so that the others do not stand behind it.
 const LINUXCNC_NAME_SUBSTRING: &str = "linuxcnc";
+/// The folders of crates whose tests wait for no clock and for no other program.
+const COMPUTING_FOLDERS: [&str; 3] = ["crates/analysis", "crates/board", "crates/bench/campaigns"];
 /// How many of the last lines are printed of a program that ended before its tests had.
 const MAX_TAIL_LINES: usize = 50;
 
@@ -44,6 +45,41 @@ pub struct TestProgram {
     executable: PathBuf,
     /// The folder of its package, where cargo runs it too.
     folder: PathBuf,
+}
+
+/// What a program mostly does. One of each kind runs at a time, while there are any.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ProgramKind {
+    LinuxCnc,
+    Computing,
+    Other,
+}
+
+impl ProgramKind {
+    const ALL: [Self; 3] = [Self::LinuxCnc, Self::Computing, Self::Other];
+}
+
+impl TestProgram {
+    fn kind(&self) -> ProgramKind {
+        let is_in = |folder: &&str| self.folder.starts_with(setup::project_root().join(folder));
+        if self.name.contains(LINUXCNC_NAME_SUBSTRING) {
+            ProgramKind::LinuxCnc
+        } else if COMPUTING_FOLDERS.iter().any(|folder| is_in(&folder)) {
+            ProgramKind::Computing
+        } else {
+            ProgramKind::Other
+        }
+    }
+
+    /// Returns the command that starts it; it gets what the others leave of the processors if it only computes.
+    fn command(&self) -> Command {
+        if self.kind() != ProgramKind::Computing || process::find_on_path("nice").is_none() {
+            return Command::new(&self.executable);
+        }
+        let mut command = Command::new("nice");
+        command.args(["-n", "19"]).arg(&self.executable);
+        command
+    }
 }
 
 /// Builds all of them.
@@ -121,30 +157,33 @@ pub fn run(
     let total = Mutex::new(TestResults::default());
     std::thread::scope(|scope| {
         let (open, total) = (&open, &total);
-        let work = move |worker: usize| -> Result<()> {
+        let work = move |kind: ProgramKind| -> Result<()> {
             loop {
-                let next =
-                    take_next_program(&mut open.lock().expect("no worker panics"), worker == 0);
+                let next = take_next_program(&mut open.lock().expect("no worker panics"), kind);
                 let Some(program) = next else { return Ok(()) };
                 let tally = run_test_program(program, arguments, variables)?;
                 total.lock().expect("no worker panics").merge(tally);
             }
         };
-        let workers: Vec<_> =
-            (0..MAX_PARALLEL_PROGRAMS).map(|worker| scope.spawn(move || work(worker))).collect();
+        let workers = ProgramKind::ALL.map(|kind| scope.spawn(move || work(kind)));
         workers.into_iter().try_for_each(|worker| worker.join().expect("no worker panics"))
     })?;
     Ok(total.into_inner().expect("no worker panics"))
 }
 
-/// Takes the next of the programs, rather one that starts LinuxCNC, or rather one that does not.
+/// Takes the next of the programs for the worker of a kind. A second one that waits for something runs next to the first one
+/// when LinuxCNC has done its own, no third one: they would starve each other.
 fn take_next_program<'a>(
     open: &mut Vec<&'a TestProgram>,
-    starts_linuxcnc: bool,
+    worker: ProgramKind,
 ) -> Option<&'a TestProgram> {
-    let fits =
-        |program: &&TestProgram| program.name.contains(LINUXCNC_NAME_SUBSTRING) == starts_linuxcnc;
-    let place = open.iter().position(fits).or((!open.is_empty()).then_some(0))?;
+    let order: &[ProgramKind] = match worker {
+        ProgramKind::LinuxCnc => &[worker, ProgramKind::Other, ProgramKind::Computing],
+        ProgramKind::Other => &[worker, ProgramKind::LinuxCnc, ProgramKind::Computing],
+        ProgramKind::Computing => &[worker],
+    };
+    let first_of = |kind: &ProgramKind| open.iter().position(|program| program.kind() == *kind);
+    let place = order.iter().find_map(first_of)?;
     Some(open.remove(place))
 }
 
@@ -153,7 +192,7 @@ fn run_test_program(
     arguments: &[&str],
     variables: &[(&str, &str)],
 ) -> Result<TestResults> {
-    let mut command = Command::new(&program.executable);
+    let mut command = program.command();
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
     command.envs(variables.iter().copied());
@@ -183,7 +222,7 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Test
     for line in output_text.lines().filter(|line| line.starts_with("skipped:")) {
         piece += &format!("\n           {line}");
     }
-    // In one piece: two programs run at a time.
+    // In one piece: several programs run at a time.
     trueup_output::write_line_best_effort(piece);
     Ok(tally)
 }
@@ -239,19 +278,30 @@ mod tests {
     }
 
     #[test]
-    fn one_worker_takes_what_starts_linuxcnc_and_both_take_all_of_it() {
-        let program = |name: &str| TestProgram {
+    fn each_worker_takes_its_kind_and_no_third_one_that_waits_runs() {
+        let program = |folder: &str, name: &str| TestProgram {
             name: name.into(),
-            executable: PathBuf::new(),
-            folder: PathBuf::new(),
+            executable: PathBuf::from("/bin/x"),
+            folder: setup::project_root().join(folder),
         };
-        let programs = ["x/chip", "x/linuxcnc_joint", "x/demo", "x/programs_linuxcnc"].map(program);
+        let programs = [
+            program("crates/analysis/fit", "fit/fit"),
+            program("crates/board/node", "node/faults"),
+            program("host-tests", "x/linuxcnc_joint"),
+            program("host-tests", "x/chip"),
+            program("host-tests", "x/programs_linuxcnc"),
+        ];
         let mut open: Vec<_> = programs.iter().collect();
-        let taken: Vec<_> = [true, false, true, true, false, false]
-            .map(|starts| take_next_program(&mut open, starts).map(|program| program.name.as_str()))
-            .into();
-        let expected = ["x/linuxcnc_joint", "x/chip", "x/programs_linuxcnc", "x/demo"].map(Some);
-        assert_eq!((&taken[..4], &taken[4..]), (&expected[..], &[None, None][..]));
+        use ProgramKind::{Computing, LinuxCnc, Other};
+        let workers = [LinuxCnc, Computing, Other, Computing, Computing, LinuxCnc, LinuxCnc];
+        let taken = workers.map(|worker| {
+            take_next_program(&mut open, worker).map(|program| program.name.as_str())
+        });
+        let own = ["x/linuxcnc_joint", "fit/fit", "x/chip", "node/faults"].map(Some);
+        assert_eq!(taken[..4], own);
+        assert_eq!(taken[4..], [None, Some("x/programs_linuxcnc"), None]);
+        assert_eq!(programs[0].command().get_program(), "nice");
+        assert_eq!(programs[3].command().get_program(), "/bin/x");
     }
 
     #[test]

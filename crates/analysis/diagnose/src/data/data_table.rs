@@ -52,9 +52,11 @@ pub(crate) struct DataSettings {
     pub files: Vec<String>,
     /// The positions that went one way all the time, by column: an error over one of them and a drift are one question.
     pub passed_columns: Vec<String>,
-    /// Whether nothing else has changed.
+    /// Whether something has changed that an error may depend on next to positions and the time.
+    pub has_other_inputs: bool,
+    /// Whether it has not, and the record goes along an axis once.
     pub is_pass_alone: bool,
-    /// Whether nothing has changed but where other axes than the own one are.
+    /// Whether the axes that have moved are others than the own one.
     pub is_guide_map: bool,
     pub has_elongation: bool,
     /// The machine file's terms that change the quantity.

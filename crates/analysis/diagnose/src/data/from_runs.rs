@@ -76,6 +76,7 @@ impl DataTable {
             quantity,
             files: runs.iter().map(|run| run.path().display().to_string()).collect(),
             passed_columns: Vec::new(),
+            has_other_inputs: false,
             is_pass_alone: false,
             is_guide_map: false,
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
@@ -106,10 +107,12 @@ impl DataTable {
         );
         input_columns::retain_input_columns(&mut data);
         let passed_columns = single_pass::passed_columns(&data);
-        let is_pass_alone = single_pass::is_pass_alone(&data, &passed_columns);
+        let has_other_inputs = single_pass::has_other_inputs(&data);
+        let is_pass_alone = !has_other_inputs && single_pass::is_pass(&data, &passed_columns);
         let is_guide_map = single_pass::is_guide_map(&data);
         let setting = Arc::make_mut(&mut data.setting);
         setting.passed_columns = passed_columns;
+        setting.has_other_inputs = has_other_inputs;
         (setting.is_pass_alone, setting.is_guide_map) = (is_pass_alone, is_guide_map);
         if is_pass_alone {
             single_pass::exclude_redundant_clock(&mut data);

@@ -39,7 +39,7 @@ pub(super) fn retain_input_columns(data: &mut DataTable) {
 }
 
 /// Returns whether it is a position: an axis may go one way all the time.
-pub(super) fn is_position_column(name: &str) -> bool {
+pub(crate) fn is_position_column(name: &str) -> bool {
     name.ends_with("_mm") || name.ends_with("_deg")
 }
 

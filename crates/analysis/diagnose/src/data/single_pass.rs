@@ -32,24 +32,23 @@ fn goes_one_way(data: &DataTable, position: &[f64]) -> bool {
         && (steps().all(|step| step >= 0.0) || steps().all(|step| step <= 0.0))
 }
 
-/// Returns whether all that changes in a record is the position, and the axis whose error it is goes one way; or where that
-/// one rests another does, as the lines of a map follow each other.
-pub(super) fn is_pass_alone(data: &DataTable, passed: &[String]) -> bool {
+/// Returns whether the axis whose error it is goes one way; or where that one rests another does, as the lines of a map follow
+/// each other.
+pub(super) fn is_pass(data: &DataTable, passed: &[String]) -> bool {
     let is_own = |axis: &LinearAxis| data.setting.quantity.axis() == Some(*axis);
     let is_passed = |axis: &LinearAxis| passed.contains(&axis.column_name());
     let moved = moved_axes(data);
-    let is_pass = match moved.iter().find(|axis| is_own(axis)) {
+    match moved.iter().find(|axis| is_own(axis)) {
         Some(own) => is_passed(own),
         None => moved.iter().any(is_passed),
-    };
-    is_pass && !has_other_inputs(data)
+    }
 }
 
-/// Returns whether all that changes in a record is where other axes than the own one are.
+/// Returns whether the axes that have moved are others than the own one.
 pub(super) fn is_guide_map(data: &DataTable) -> bool {
     let moved = moved_axes(data);
     let is_own = |axis: &LinearAxis| data.setting.quantity.axis() == Some(*axis);
-    !moved.is_empty() && !moved.iter().any(is_own) && !has_other_inputs(data)
+    !moved.is_empty() && !moved.iter().any(is_own)
 }
 
 fn moved_axes(data: &DataTable) -> Vec<LinearAxis> {
@@ -58,7 +57,7 @@ fn moved_axes(data: &DataTable) -> Vec<LinearAxis> {
 }
 
 /// Returns whether anything changes that an error may depend on next to positions and the time.
-fn has_other_inputs(data: &DataTable) -> bool {
+pub(super) fn has_other_inputs(data: &DataTable) -> bool {
     let columns = data.temperatures().iter().chain(data.unknown_columns());
     columns.map(|(_, values)| values).any(|values| varies(values))
         || [data.spindle_rpm(), data.load_n()].into_iter().flatten().any(varies)
