@@ -181,7 +181,7 @@ fn candidate_table_grids(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
     }
     [6, 11, 21, 41]
         .into_iter()
-        .filter(|&points| groups >= 8 * points && at.len() >= points)
+        .filter(|&points| groups >= 5 * points && at.len() >= points)
         .map(|points| (first, (last - first) / (points - 1) as f64, points))
         .collect()
 }
