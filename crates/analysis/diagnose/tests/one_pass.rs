@@ -183,7 +183,7 @@ fn the_form_of_a_guide_is_found_with_few_rows_and_with_many() {
 }
 
 /// A smooth error of a screw, 80 places passed once: a table of it is judged between its places, a law by stretches. Of even
-/// places a short wave looks like a long one, and is not corrected: two of the ten keep most of their error.
+/// places a short wave looks like a long one, and none is written.
 #[test]
 fn a_table_of_a_screw_is_found_in_one_pass() {
     let mut corrected = 0;
@@ -201,7 +201,7 @@ fn a_table_of_a_screw_is_found_in_one_pass() {
         assert!(report.findings.iter().all(|finding| !finding.claimed), "{:?}", report.findings);
         corrected += usize::from(left_um < 0.1 * report.before.rms_um);
     }
-    assert!(corrected >= 7, "{corrected} of 10");
+    assert!(corrected >= 9, "{corrected} of 10");
 }
 
 /// What a record of a map has next to its places.

@@ -64,7 +64,7 @@ impl TestProgram {
         let is_in = |folder: &&str| self.folder.starts_with(setup::project_root().join(folder));
         if self.name.contains(LINUXCNC_NAME_SUBSTRING) {
             ProgramKind::LinuxCnc
-        } else if COMPUTING_FOLDERS.iter().any(|folder| is_in(&folder)) {
+        } else if COMPUTING_FOLDERS.iter().any(is_in) {
             ProgramKind::Computing
         } else {
             ProgramKind::Other

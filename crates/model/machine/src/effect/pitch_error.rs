@@ -170,7 +170,7 @@ impl Explanation for PitchError {
 }
 
 /// Tables (start, step, points) that the positions allow: at the targets where these are few and
-/// evenly spaced, else even ones of growing fineness.
+/// evenly spaced, else even ones of growing fineness; five readings a point, as for the spline of a guide.
 fn candidate_table_grids(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
     let at = find_distinct_values(own, 2e-3);
     let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Vec::new() };
