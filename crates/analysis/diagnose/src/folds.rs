@@ -3,8 +3,7 @@
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
 //! the record. Where there is no time it is single rows of few, as in a table of readings, and drawn ones of a map of guides:
 //! the form of a guide has no law that goes on into a stretch that was never passed, as a screw's has. Where something else
-//! changes too, each term is judged by its own inputs: guides by drawn rows, the rest by stretches of what they leave. So is a
-//! table of a screw that was passed once, next to its laws.
+//! changes too, each term is judged by its own inputs: guides by drawn rows, the rest by stretches of what they leave.
 
 use std::{fmt, sync::Arc};
 
@@ -15,7 +14,6 @@ use trueup_numerics::{
 };
 
 use crate::{
-    data::DataTable,
     fit::{FitProblem, fit},
     model::Model,
     term_kind::ModelPart,
@@ -27,8 +25,8 @@ pub(crate) struct Folds {
     of_group: Vec<usize>,
     /// Of a record cut into stretches: the same in stretches of another kind.
     otherwise: Option<(Vec<usize>, usize)>,
-    /// Of a record cut into stretches: what is judged by drawn groups all the same.
-    drawn: Option<DrawnFolds>,
+    /// Of a map of guides cut into stretches: the fold of each group for the guides.
+    for_guides: Option<Vec<usize>>,
     pub count: usize,
     pub unit: FoldUnit,
     /// Finer blocks, for intervals.
@@ -81,7 +79,9 @@ impl Folds {
         let data = &problem.data;
         let runs = run_index_by_group(&groups.first_row, data.run_numbers());
         let run_count = runs.iter().max().map_or(0, |most| most + 1);
-        let judged = DrawnTerms::of(data);
+        // What comes again to its places at another time is judged as all else is.
+        let is_map = data.setting.is_guide_map
+            && (data.time_s().is_none() || !data.setting.passed_columns.is_empty());
         let (of_group, count_folds, unit) = if data.setting.files.len() > 1 {
             let file_of = |&row: &usize| data.places.file[row] as usize;
             (
@@ -96,7 +96,7 @@ impl Folds {
             (runs.into_iter().map(of).collect(), folds, FoldUnit::Runs)
         } else if data.time_s().is_none() && count <= 50 {
             ((0..count).collect(), count, FoldUnit::Readings)
-        } else if judged == Some(DrawnTerms::Guides) && !data.setting.has_other_inputs {
+        } else if is_map && !data.setting.has_other_inputs {
             (drawn_block_indices(count), SEGMENT_COUNT, FoldUnit::Readings)
         } else {
             (
@@ -107,11 +107,9 @@ impl Folds {
         };
         let otherwise = (unit == FoldUnit::Segments)
             .then(|| (segment_indices(count, EQUAL_LENGTH_BLOCK_COUNT), EQUAL_LENGTH_BLOCK_COUNT));
-        let drawn = judged
-            .filter(|_| unit == FoldUnit::Segments)
-            .map(|terms| DrawnFolds { of_group: drawn_block_indices(count), terms });
+        let for_guides = (unit == FoldUnit::Segments && is_map).then(|| drawn_block_indices(count));
         let blocks = RowBlocks::new(count, memory);
-        Self { of_group, otherwise, drawn, count: count_folds, unit, blocks }
+        Self { of_group, otherwise, for_guides, count: count_folds, unit, blocks }
     }
 
     /// Returns whether each group is in the second half: of the files or runs where they are held out, else of the
@@ -198,15 +196,15 @@ impl Folds {
         of_group: &[usize],
         count: usize,
     ) -> Arc<(Vec<f64>, Vec<Model>)> {
-        let has_any =
-            |drawn: &&DrawnFolds| model.parts.iter().any(|part| drawn.terms.contains(part));
-        let Some(drawn) = self.drawn.as_ref().filter(has_any) else {
+        let Some(drawn) = self.for_guides.as_deref().filter(|_| model.parts.iter().any(is_guide))
+        else {
             return cached_cross_validation(problem, model, of_group, count);
         };
-        let without = cached_cross_validation(problem, model, &drawn.of_group, SEGMENT_COUNT);
-        let what = format!("{count} folds held out, and drawn ones");
+        let guides = cached_cross_validation(problem, model, drawn, SEGMENT_COUNT);
+        let what = format!("{count} folds held out, of guides drawn ones");
         problem.memoise(&what, model, || {
-            drawn.cross_validate_rest(problem, model, &without.1, of_group, count)
+            let held_out = GuidesHeldOut { drawn, models: &guides.1 };
+            held_out.cross_validate_rest(problem, model, of_group, count)
         })
     }
 
@@ -236,72 +234,57 @@ fn drawn_block_indices(groups: usize) -> Vec<usize> {
     (0..groups).map(|_| generator.uniform_index(SEGMENT_COUNT)).collect()
 }
 
-/// The terms that are judged by drawn groups where the others are judged by stretches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum DrawnTerms {
-    /// All that depends on positions alone, which are none of the own axis.
-    Guides,
-    /// Tables and curves over positions.
-    Tables,
+/// Returns whether a part of the model of a map of guides is one of them.
+fn is_guide(part: &ModelPart) -> bool {
+    part.kind.depends_on_positions_alone()
 }
 
-impl DrawnTerms {
-    fn of(data: &DataTable) -> Option<Self> {
-        let setting = &data.setting;
-        let own = setting.quantity.axis();
-        let is_passed = own.is_some_and(|own| setting.passed_columns.contains(&own.column_name()));
-        // What comes again to its places at another time is judged as all else is.
-        let is_map = data.time_s().is_none() || !setting.passed_columns.is_empty();
-        (is_map && setting.is_guide_map)
-            .then_some(Self::Guides)
-            .or(is_passed.then_some(Self::Tables))
-    }
-
-    fn contains(self, part: &ModelPart) -> bool {
-        part.kind.depends_on_positions_alone()
-            && (self == Self::Guides || part.kind.list_length().is_some())
-    }
+/// A model that was fitted without each of the folds that were drawn for its guides.
+struct GuidesHeldOut<'g> {
+    drawn: &'g [usize],
+    models: &'g [Model],
 }
 
-#[derive(Clone, Debug)]
-struct DrawnFolds {
-    of_group: Vec<usize>,
-    terms: DrawnTerms,
-}
-
-impl DrawnFolds {
-    /// Holds out the rest of a model where its drawn terms, in each group as `fitted` without it, are taken away. Returns what
-    /// is left in each group, and the models: of each the drawn terms without a drawn fold, and the rest without a fold.
+impl GuidesHeldOut<'_> {
+    /// Holds out the rest of the model where the guides, each group as predicted without it, are taken away. Returns what is
+    /// left in each group, and the models: of each the guides without a drawn fold, and the rest without a fold.
     fn cross_validate_rest(
         &self,
         problem: &FitProblem,
         model: &Model,
-        fitted: &[Model],
         of_group: &[usize],
         count: usize,
     ) -> (Vec<f64>, Vec<Model>) {
-        let rest_of = |model: &Model| {
+        let without_guides = |model: &Model| {
             let mut rest = model.clone();
-            rest.parts.retain(|part| !self.terms.contains(part));
+            rest.parts.retain(|part| !is_guide(part));
             rest
         };
-        let of_drawn = |model: &Model| {
-            let (whole, rest) = (problem.predict(model), problem.predict(&rest_of(model)));
-            let mut um: Vec<f64> =
-                whole.iter().zip(rest).map(|(whole, rest)| whole - rest).collect();
-            // The level of a table is the zero of the measurement's, where that is free.
-            let level = model.constant_um.map_or(0.0, |_| um.iter().sum::<f64>() / um.len() as f64);
-            um.iter_mut().for_each(|um| *um -= level);
-            um
-        };
-        let drawn: Vec<Vec<f64>> = fitted.iter().map(of_drawn).collect();
-        let groups = problem.measured.iter().zip(&self.of_group).enumerate();
-        let measured = groups.map(|(group, (um, &fold))| um - drawn[fold][group]).collect();
-        let rest = problem.with_measured(measured);
-        let (residual, mut models) = cross_validate(&rest, &rest_of(model), of_group, count);
-        for (rest, fitted) in models.iter_mut().zip(fitted) {
-            let drawn = fitted.parts.iter().filter(|part| self.terms.contains(part));
-            rest.parts.extend(drawn.cloned());
+        let of_guides: Vec<Vec<f64>> = self
+            .models
+            .iter()
+            .map(|model| {
+                let whole = problem.predict(model).into_iter();
+                let rest = problem.predict(&without_guides(model));
+                let mut um: Vec<f64> = whole.zip(rest).map(|(whole, rest)| whole - rest).collect();
+                // The level of a guide is the zero of the measurement's, where that is free.
+                let level =
+                    model.constant_um.map_or(0.0, |_| um.iter().sum::<f64>() / um.len() as f64);
+                um.iter_mut().for_each(|um| *um -= level);
+                um
+            })
+            .collect();
+        let groups = problem.measured.iter().zip(self.drawn).enumerate();
+        let measured = groups.map(|(group, (um, &fold))| um - of_guides[fold][group]).collect();
+        let (residual, mut models) = cross_validate(
+            &problem.with_measured(measured),
+            &without_guides(model),
+            of_group,
+            count,
+        );
+        for (rest, guides) in models.iter_mut().zip(self.models) {
+            let guides = guides.parts.iter().filter(|part| is_guide(part));
+            rest.parts.extend(guides.cloned());
             rest.sort_parts();
         }
         (residual, models)
