@@ -101,12 +101,21 @@ pub struct PredictedState {
 /// Returns the model of what the board runs of `machine`, in every state of `ranges`.
 #[must_use]
 pub fn predict_states(machine: &Machine, ranges: &InputRanges) -> Vec<PredictedState> {
-    let machine = machine_at_power_on(machine);
-    let columns = model_thermometer_columns(&machine);
+    predict_states_of(machine, machine, ranges)
+}
+
+/// Returns the model of `machine` in the states of `whole`: one with fewer terms has fewer thermometers, and settles sooner.
+fn predict_states_of(
+    machine: &Machine,
+    whole: &Machine,
+    ranges: &InputRanges,
+) -> Vec<PredictedState> {
+    let [machine, whole] = [machine, whole].map(machine_at_power_on);
+    let columns = model_thermometer_columns(&whole);
     let corners = enumerate_corners(columns.len(), ranges.is_each_alone);
-    let times_s = evaluation_times_s(&machine, ranges.change_s);
+    let times_s = evaluation_times_s(&whole, ranges.change_s);
     let places = corner_positions(ranges);
-    let categories = [0, 1].map(|end| category_values(&machine, end));
+    let categories = [0, 1].map(|end| category_values(&whole, end));
     let mut states = Vec::new();
     let ends: Vec<[f64; 2]> = columns
         .iter()
@@ -308,12 +317,12 @@ impl MachineStates {
         let machine = machine.with_only_compensated_terms().into_owned();
         let ranges = InputRanges::normal(&machine);
         let all = predict_states(&machine, &ranges);
-        let plain = predict_states(&Machine { terms: Vec::new(), ..machine.clone() }, &ranges);
+        let of = |fewer: &Machine| predict_states_of(fewer, &machine, &ranges);
+        let plain = of(&Machine { terms: Vec::new(), ..machine.clone() });
         let alone = |term: usize| {
             let mut without = machine.clone();
             without.terms.remove(term);
-            let without = predict_states(&without, &ranges);
-            let rows = all.iter().zip(without);
+            let rows = all.iter().zip(of(&without));
             rows.map(|(all, without)| [0, 1, 2, 3].map(|n| all.um[n] - without.um[n])).collect()
         };
         let alone = (0..machine.terms.len()).map(alone).collect();

@@ -93,3 +93,34 @@ fn a_state_is_what_the_model_says_there() {
     let settled = of(|state| state.is_settled);
     assert!(near(settled, [-1.8 * 11.0 + 15.0, 1.8 * 9.0 + 15.0]), "{settled:?}");
 }
+
+/// Returns a machine without a spindle's thermometer, with paths of heat along Z: column, µm/°C, and the temperature at which
+/// each does nothing.
+fn machine_with_heat_paths(paths: &[(&str, f64, f64)]) -> Machine {
+    let mut text = String::from(
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[limits]\nmax_um = { x = 40.0, y = 40.0, z = 40.0 }\n",
+    );
+    for (column, um_per_c, reference_c) in paths {
+        text += &format!(
+            "[[term]]\nquantity = \"dz\"\ncause = \"extra-heat-path\"\ncolumn = \"{column}\"\num_per_c = {um_per_c}\n\
+             reference_c = {reference_c}\n"
+        );
+    }
+    MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file")
+}
+
+/// A machine without a term has fewer thermometers, and fewer states of its own: each term is compared in those of the whole.
+#[test]
+fn a_thermometer_that_one_term_reads_is_there_without_the_term() {
+    // By hand: 0 µm at 10 °C and 100 µm at 30 °C, which is clamped and no fault of two terms.
+    let one = machine_with_heat_paths(&[("temp_bed_c", 5.0, 10.0)]);
+    assert_eq!(find_limit_violation(&one), None);
+    assert_eq!(find_cancelling_terms(&one), None);
+    // 200 to 600 µm and as much less: nothing is left, and neither is believed.
+    let two = machine_with_heat_paths(&[("temp_bed_c", 20.0, 0.0), ("temp_room_c", -20.0, 0.0)]);
+    let violation = find_limit_violation(&two).expect("two terms take each other back");
+    assert!(violation.rule.contains("take each other back"), "{violation:?}");
+    assert_eq!(violation.um.abs(), 600.0);
+    let pair = find_cancelling_terms(&two).expect("the same two");
+    assert_eq!((pair.terms, pair.um.map(f64::abs)), ([0, 1], [600.0; 2]));
+}
