@@ -8,7 +8,9 @@
 use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
-    block_resampling::{PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, segment_indices},
+    block_resampling::{
+        PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, rms, segment_indices,
+    },
     parallel::parallel_map,
     random::RandomGenerator,
 };
@@ -16,7 +18,7 @@ use trueup_numerics::{
 use crate::{
     fit::{FitProblem, fit},
     model::Model,
-    term_kind::ModelPart,
+    term_kind::{ModelPart, TermKind},
 };
 
 /// The fold of each group.
@@ -186,6 +188,27 @@ impl Folds {
     ) -> (Vec<f64>, Vec<Model>) {
         let first = self.cross_validation(problem, model, &self.of_group, self.count);
         (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
+    }
+
+    /// Returns whether drawn rows are held out for a term where stretches are for the others.
+    pub(crate) fn holds_out_drawn_rows_for(&self, kind: &TermKind) -> bool {
+        self.for_guides.is_some() && kind.depends_on_positions_alone()
+    }
+
+    /// Returns what two models leave on the same held-out blocks, RMS in µm: on drawn rows where only one of two terms by which
+    /// they differ is judged by these.
+    pub(crate) fn comparable_rms_um(
+        &self,
+        problem: &FitProblem,
+        models: [&Model; 2],
+        terms: [&TermKind; 2],
+    ) -> [f64; 2] {
+        let [one, other] = terms.map(|kind| self.holds_out_drawn_rows_for(kind));
+        match self.for_guides.as_deref().filter(|_| one != other) {
+            Some(drawn) => models
+                .map(|model| rms(&cached_cross_validation(problem, model, drawn, SEGMENT_COUNT).0)),
+            None => models.map(|model| rms(&self.held_out_residuals(problem, model))),
+        }
     }
 
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn; with the models.

@@ -51,6 +51,33 @@ struct AssessedExtension {
     reduction: RmsReduction,
     /// Whether it predicts better than the model before, by an amount that matters.
     is_gain: bool,
+    /// Whether drawn rows were held out for it, which are predicted better than stretches.
+    is_drawn: bool,
+}
+
+/// The least that an extension leaves which is a gain, in µm: of those for which stretches were held out, and drawn rows.
+#[derive(Clone, Copy)]
+struct LeastHeldOutRms([f64; 2]);
+
+impl LeastHeldOutRms {
+    fn new(all: &[AssessedExtension]) -> Self {
+        Self([false, true].map(|is_drawn| {
+            all.iter()
+                .filter(|extension| extension.is_gain && extension.is_drawn == is_drawn)
+                .map(|extension| extension.left_out_um)
+                .fold(f64::INFINITY, f64::min)
+        }))
+    }
+
+    /// Returns whether it predicts as well as the best that was judged in the same way.
+    fn is_reached_by(self, extension: &AssessedExtension) -> bool {
+        let least_um = self.0[usize::from(extension.is_drawn)];
+        extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
+    }
+
+    fn of_any(self) -> f64 {
+        self.0[0].min(self.0[1])
+    }
 }
 
 /// The model before, on the same blocks.
@@ -81,7 +108,17 @@ impl<'s> BaselineModel<'s> {
             || MAX_EQUIVALENT_RMS_RATIO * left_out_um < before_um
                 && bic + self.search.interaction_penalty() < self.search.bic();
         let is_gain = reduction.is_gain && is_relevant && is_clear;
-        AssessedExtension { cause, fitted, bic, left_out, left_out_um, reduction, is_gain }
+        let is_drawn = self.folds.holds_out_drawn_rows_for(&cause);
+        AssessedExtension {
+            cause,
+            fitted,
+            bic,
+            left_out,
+            left_out_um,
+            reduction,
+            is_gain,
+            is_drawn,
+        }
     }
 
     fn term_gain(
@@ -140,15 +177,11 @@ pub(crate) fn choose_extension(
             baseline.assess(extension)
         })
         .collect();
-    let least_um = all
-        .iter()
-        .filter(|extension| extension.is_gain)
-        .map(|extension| extension.left_out_um)
-        .fold(f64::INFINITY, f64::min);
-    if let Some(pair) = find_first_predictive_pair(&baseline, &all, tier, least_um) {
+    let least = LeastHeldOutRms::new(&all);
+    if let Some(pair) = find_first_predictive_pair(&baseline, &all, tier, least.of_any()) {
         return SelectionOutcome::Accept(pair);
     }
-    let Some(taken) = find_best_extension_index(&all, least_um) else {
+    let Some(taken) = find_best_extension_index(&all, least) else {
         return SelectionOutcome::Reject(baseline.rejected_extensions(&all, None));
     };
     let tried = baseline.rejected_extensions(&all, Some(taken));
@@ -162,11 +195,9 @@ pub(crate) fn choose_extension(
     })
 }
 
-/// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
-fn find_best_extension_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
-    let predicts = |extension: &AssessedExtension| {
-        extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
-    };
+/// Returns the place of the one to take, where this is the least that one of them leaves.
+fn find_best_extension_index(all: &[AssessedExtension], least: LeastHeldOutRms) -> Option<usize> {
+    let predicts = |extension: &AssessedExtension| least.is_reached_by(extension);
     let best = all
         .iter()
         .filter(|extension| predicts(extension))

@@ -90,7 +90,10 @@ impl Search<'_> {
             } else {
                 1.0
             };
-        self.held_out_rms_um(&other.fitted) < most * self.held_out_rms_um(&self.fitted)
+        let models = [&other.fitted.model, &self.fitted.model];
+        let [there, own] =
+            self.folds.comparable_rms_um(self.problem, models, [&other.cause, cause]);
+        there < most * own
     }
 
     /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
