@@ -329,6 +329,28 @@ fn readings_alone_that_follow_a_curve_are_not_clean() {
     assert!(diagnosis.report.wandering.is_some_and(|rest| rest.memory_rows.is_some()));
 }
 
+/// A spindle that warms while a guide is passed: the curve of its heat over the place is no form of the guide.
+#[test]
+fn heat_that_a_thermometer_shows_is_not_taken_for_a_guide() {
+    for (seed, has_clock) in (70..76).zip([true, false].into_iter().cycle()) {
+        let mut noise = RandomGenerator::new(seed);
+        let mut run = String::from(if has_clock { "time_s," } else { "" });
+        run += "y_mm,temp_spindle_c,measured_dz_um\n";
+        for row in 0..225 {
+            let risen_c = 8.0 * (1.0 - (-f64::from(row) / 56.0).exp());
+            run += &if has_clock { format!("{},", 32 * row) } else { String::new() };
+            let um = 2.5 * risen_c + 0.4 * noise.normal();
+            let spindle_c = 21.0 + risen_c + 0.03 * noise.normal();
+            run += &format!("{:.2},{spindle_c:.3},{um:.3}\n", 400.0 * f64::from(row) / 224.0);
+        }
+        let diagnosis = diagnosed(&run);
+        let found = finding(&diagnosis, "extra-heat-path");
+        assert_eq!(found.column.as_deref(), Some("temp_spindle_c"), "{seed}");
+        assert!(found.claimed && (number(found, "um_per_c") - 2.5).abs() < 0.1, "{found:?}");
+        assert_eq!(diagnosis.report.findings.len(), 1, "{seed}: {:?}", diagnosis.report.findings);
+    }
+}
+
 /// 15 lines of 15 places, with a clock or a thermometer and without: whatever the noise remembers, no guide is found in it.
 #[test]
 fn what_wanders_along_a_map_is_not_taken_for_a_guide() {
