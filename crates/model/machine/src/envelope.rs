@@ -101,15 +101,11 @@ pub struct PredictedState {
 /// Returns the model of what the board runs of `machine`, in every state of `ranges`.
 #[must_use]
 pub fn predict_states(machine: &Machine, ranges: &InputRanges) -> Vec<PredictedState> {
-    predict_states_of(machine, machine, ranges)
+    states_of(machine, machine, ranges)
 }
 
 /// Returns the model of `machine` in the states of `whole`: one with fewer terms has fewer thermometers, and settles sooner.
-fn predict_states_of(
-    machine: &Machine,
-    whole: &Machine,
-    ranges: &InputRanges,
-) -> Vec<PredictedState> {
+fn states_of(machine: &Machine, whole: &Machine, ranges: &InputRanges) -> Vec<PredictedState> {
     let [machine, whole] = [machine, whole].map(machine_at_power_on);
     let columns = model_thermometer_columns(&whole);
     let corners = enumerate_corners(columns.len(), ranges.is_each_alone);
@@ -317,7 +313,7 @@ impl MachineStates {
         let machine = machine.with_only_compensated_terms().into_owned();
         let ranges = InputRanges::normal(&machine);
         let all = predict_states(&machine, &ranges);
-        let of = |fewer: &Machine| predict_states_of(fewer, &machine, &ranges);
+        let of = |fewer: &Machine| states_of(fewer, &machine, &ranges);
         let plain = of(&Machine { terms: Vec::new(), ..machine.clone() });
         let alone = |term: usize| {
             let mut without = machine.clone();
