@@ -8,9 +8,7 @@
 use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
-    block_resampling::{
-        PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, rms, segment_indices,
-    },
+    block_resampling::{PairedComparison, RmsReduction, RowBlocks, SEGMENT_COUNT, segment_indices},
     parallel::parallel_map,
     random::RandomGenerator,
 };
@@ -190,24 +188,30 @@ impl Folds {
         (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
     }
 
-    /// Returns whether drawn rows are held out for a term where stretches are for the others.
-    pub(crate) fn holds_out_drawn_rows_for(&self, kind: &TermKind) -> bool {
+    /// Returns whether a term is a guide for which drawn rows are held out, where stretches are for the others.
+    pub(crate) fn is_guide(&self, kind: &TermKind) -> bool {
         self.for_guides.is_some() && kind.depends_on_positions_alone()
     }
 
-    /// Returns what two models leave on the same held-out blocks, RMS in µm: on drawn rows where only one of two terms by which
-    /// they differ is judged by these.
-    pub(crate) fn comparable_rms_um(
+    /// Returns what two models leave in each group where the same was held out of both: drawn rows where they differ by a guide
+    /// and by something else, since a drawn row is predicted better than a stretch.
+    pub(crate) fn comparable_residuals(
         &self,
         problem: &FitProblem,
         models: [&Model; 2],
-        terms: [&TermKind; 2],
-    ) -> [f64; 2] {
-        let [one, other] = terms.map(|kind| self.holds_out_drawn_rows_for(kind));
-        match self.for_guides.as_deref().filter(|_| one != other) {
-            Some(drawn) => models
-                .map(|model| rms(&cached_cross_validation(problem, model, drawn, SEGMENT_COUNT).0)),
-            None => models.map(|model| rms(&self.held_out_residuals(problem, model))),
+    ) -> [Vec<f64>; 2] {
+        let [one, other] = models;
+        let differs_by = |guide: bool| {
+            [[one, other], [other, one]].into_iter().any(|[with, without]| {
+                let mut own = with.parts.iter().filter(|part| !without.contains(&part.kind));
+                own.any(|part| self.is_guide(&part.kind) == guide)
+            })
+        };
+        match self.for_guides.as_deref().filter(|_| differs_by(true) && differs_by(false)) {
+            Some(drawn) => models.map(|model| {
+                cached_cross_validation(problem, model, drawn, SEGMENT_COUNT).0.clone()
+            }),
+            None => models.map(|model| self.held_out_residuals(problem, model)),
         }
     }
 
@@ -219,8 +223,8 @@ impl Folds {
         of_group: &[usize],
         count: usize,
     ) -> Arc<(Vec<f64>, Vec<Model>)> {
-        let Some(drawn) = self.for_guides.as_deref().filter(|_| model.parts.iter().any(is_guide))
-        else {
+        let has_guide = model.parts.iter().any(|part| self.is_guide(&part.kind));
+        let Some(drawn) = self.for_guides.as_deref().filter(|_| has_guide) else {
             return cached_cross_validation(problem, model, of_group, count);
         };
         let guides = cached_cross_validation(problem, model, drawn, SEGMENT_COUNT);
@@ -257,11 +261,6 @@ fn drawn_block_indices(groups: usize) -> Vec<usize> {
     (0..groups).map(|_| generator.uniform_index(SEGMENT_COUNT)).collect()
 }
 
-/// Returns whether a part of the model of a map of guides is one of them.
-fn is_guide(part: &ModelPart) -> bool {
-    part.kind.depends_on_positions_alone()
-}
-
 /// A model that was fitted without each of the folds that were drawn for its guides.
 struct GuidesHeldOut<'g> {
     drawn: &'g [usize],
@@ -280,7 +279,7 @@ impl GuidesHeldOut<'_> {
     ) -> (Vec<f64>, Vec<Model>) {
         let without_guides = |model: &Model| {
             let mut rest = model.clone();
-            rest.parts.retain(|part| !is_guide(part));
+            rest.parts.retain(|part| !part.kind.depends_on_positions_alone());
             rest
         };
         let of_guides: Vec<Vec<f64>> = self
@@ -306,7 +305,7 @@ impl GuidesHeldOut<'_> {
             count,
         );
         for (rest, guides) in models.iter_mut().zip(self.models) {
-            let guides = guides.parts.iter().filter(|part| is_guide(part));
+            let guides = guides.parts.iter().filter(|part| part.kind.depends_on_positions_alone());
             rest.parts.extend(guides.cloned());
             rest.sort_parts();
         }

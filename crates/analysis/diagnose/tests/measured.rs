@@ -269,7 +269,7 @@ fn laws_of_a_screw_go_on_where_it_was_not_measured() {
 
 /// An expert leaves 301, 449 and 382 µm.
 #[test]
-#[ignore = "long: three errors of an arm"]
+#[ignore = "long: fourteen seconds for three errors of an arm"]
 fn an_arm_is_corrected_in_part_at_other_places() {
     for (quantity, most_um) in [(Quantity::Dx, 390.0), (Quantity::Dy, 580.0), (Quantity::Dz, 500.0)]
     {

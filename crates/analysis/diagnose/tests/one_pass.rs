@@ -133,6 +133,25 @@ fn what_wanders_along_a_pass_is_not_called_clean() {
     }
 }
 
+/// Eight passes of a screw: whatever the noise remembers, no table is written for it, and nothing is claimed.
+#[test]
+fn noise_that_wanders_along_a_screw_is_not_taken_for_a_table() {
+    for (seed, memory_rows) in (80..88).zip([5.0, 15.0, 40.0, 100.0].into_iter().cycle()) {
+        let mut noise = RandomGenerator::new(seed);
+        let (mut slow_um, kept) = (0.0, (-1.0_f64 / memory_rows).exp());
+        let mut run = String::from("x_mm,measured_dx_um\n");
+        for row in 0..if seed < 84 { 80 } else { 300 } {
+            slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
+            let um = slow_um + 0.4 * noise.normal();
+            run += &format!("{:.2},{um:.3}\n", 2.0 * f64::from(row));
+        }
+        let findings = diagnosed(&run).report.findings;
+        let is_table_or_claimed =
+            |finding: &Finding| finding.claimed || finding.cause == "pitch-error";
+        assert!(!findings.iter().any(is_table_or_claimed), "{seed}: {findings:?}");
+    }
+}
+
 /// The same along a guide.
 #[test]
 fn what_wanders_along_a_guide_is_neither_clean_nor_claimed() {
@@ -204,7 +223,7 @@ fn a_table_of_a_screw_is_found_in_one_pass() {
     assert!(corrected >= 9, "{corrected} of 10");
 }
 
-/// What a record of a map has next to its places.
+/// The columns that were recorded with the places of a map.
 #[derive(Clone, Copy)]
 struct Recorded {
     clock: bool,
@@ -249,7 +268,7 @@ fn map(
     RunFile::from_reader(run.as_bytes(), Path::new("map.csv")).expect("the test's own run")
 }
 
-/// A bed: two guides, and a tilt of the second one. A clock or a thermometer that was read too changes nothing.
+/// A bed: two guides, and a tilt of the second one. A clock or a thermometer that was recorded too costs neither.
 #[test]
 fn a_map_of_a_bed_is_corrected_between_its_places() {
     for recorded in RECORDED {

@@ -47,7 +47,7 @@ pub struct TestProgram {
     folder: PathBuf,
 }
 
-/// What a program mostly does. One of each kind runs at a time, while there are any.
+/// The resource that a program mainly needs. One program of each kind runs at a time, until a kind has no more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ProgramKind {
     LinuxCnc,

@@ -108,7 +108,7 @@ impl<'s> BaselineModel<'s> {
             || MAX_EQUIVALENT_RMS_RATIO * left_out_um < before_um
                 && bic + self.search.interaction_penalty() < self.search.bic();
         let is_gain = reduction.is_gain && is_relevant && is_clear;
-        let is_drawn = self.folds.holds_out_drawn_rows_for(&cause);
+        let is_drawn = self.folds.is_guide(&cause);
         AssessedExtension {
             cause,
             fitted,

@@ -90,9 +90,7 @@ impl Search<'_> {
             } else {
                 1.0
             };
-        let models = [&other.fitted.model, &self.fitted.model];
-        let [there, own] =
-            self.folds.comparable_rms_um(self.problem, models, [&other.cause, cause]);
+        let [there, own] = self.comparable_rms_um([&other.fitted, &self.fitted]);
         there < most * own
     }
 
@@ -121,8 +119,7 @@ impl Search<'_> {
         });
         let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
         let Some(pair) = best.filter(|pair| pair.bic < most) else { return false };
-        let [before, after] =
-            [&self.fitted, &pair.fitted].map(|fitted| self.held_out_rms_um(fitted));
+        let [before, after] = self.comparable_rms_um([&self.fitted, &pair.fitted]);
         if after >= before {
             return false;
         }
