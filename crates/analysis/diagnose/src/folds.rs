@@ -193,28 +193,6 @@ impl Folds {
         self.for_guides.is_some() && kind.depends_on_positions_alone()
     }
 
-    /// Returns what two models leave in each group where the same was held out of both: drawn rows where they differ by a guide
-    /// and by something else, since a drawn row is predicted better than a stretch.
-    pub(crate) fn comparable_residuals(
-        &self,
-        problem: &FitProblem,
-        models: [&Model; 2],
-    ) -> [Vec<f64>; 2] {
-        let [one, other] = models;
-        let differs_by = |guide: bool| {
-            [[one, other], [other, one]].into_iter().any(|[with, without]| {
-                let mut own = with.parts.iter().filter(|part| !without.contains(&part.kind));
-                own.any(|part| self.is_guide(&part.kind) == guide)
-            })
-        };
-        match self.for_guides.as_deref().filter(|_| differs_by(true) && differs_by(false)) {
-            Some(drawn) => models.map(|model| {
-                cached_cross_validation(problem, model, drawn, SEGMENT_COUNT).0.clone()
-            }),
-            None => models.map(|model| self.held_out_residuals(problem, model)),
-        }
-    }
-
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn; with the models.
     fn cross_validation(
         &self,

@@ -351,7 +351,7 @@ fn readings_alone_that_follow_a_curve_are_not_clean() {
 /// A spindle that warms while a guide is passed: the curve of its heat over the place is no form of the guide.
 #[test]
 fn heat_that_a_thermometer_shows_is_not_taken_for_a_guide() {
-    for (seed, has_clock) in (70..76).zip([true, false].into_iter().cycle()) {
+    for (seed, has_clock) in (100..106).zip([true, false].into_iter().cycle()) {
         let mut noise = RandomGenerator::new(seed);
         let mut run = String::from(if has_clock { "time_s," } else { "" });
         run += "y_mm,temp_spindle_c,measured_dz_um\n";

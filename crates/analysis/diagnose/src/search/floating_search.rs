@@ -204,9 +204,7 @@ impl Search<'_> {
     /// values, and predicts better beyond doubt. No terms of it may cancel, and it must be identified.
     fn is_better(&self, one: &ScoredModel, other: &ScoredModel) -> bool {
         let gap = other.score - one.score;
-        let models = [other, one].map(|model| &model.fitted.model);
-        let [before, after] = self.folds.comparable_residuals(self.problem, models);
-        let paired = self.folds.compare_paired(&before, &after);
+        let paired = self.folds.compare_paired(&other.left_out, &one.left_out);
         let [own, others] = [one, other].map(|model| degrees_of_freedom(&model.fitted.model));
         let is_better = if gap >= STRONG_EVIDENCE_BIC_DIFFERENCE {
             let fewer = own < others;

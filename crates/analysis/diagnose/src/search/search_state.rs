@@ -3,7 +3,6 @@
 use std::fmt;
 
 use trueup_machine::effect::{Effect, HeatPath};
-use trueup_numerics::block_resampling::rms;
 
 use crate::{
     fit::{FitProblem, FittedModel, fit},
@@ -164,12 +163,6 @@ impl<'p> Search<'p> {
     /// Returns what `fitted` leaves on held-out blocks: RMS, in µm.
     pub(crate) fn held_out_rms_um(&self, fitted: &FittedModel) -> f64 {
         held_out_rms_um(self.problem, &self.folds, &fitted.model)
-    }
-
-    /// Returns what two models leave on the same held-out blocks: RMS, in µm.
-    pub(crate) fn comparable_rms_um(&self, models: [&FittedModel; 2]) -> [f64; 2] {
-        let models = models.map(|fitted| &fitted.model);
-        self.folds.comparable_residuals(self.problem, models).map(|left| rms(&left))
     }
 
     /// Returns what `fitted` leaves on held-out blocks, in each group, in µm.

@@ -90,8 +90,7 @@ impl Search<'_> {
             } else {
                 1.0
             };
-        let [there, own] = self.comparable_rms_um([&other.fitted, &self.fitted]);
-        there < most * own
+        self.held_out_rms_um(&other.fitted) < most * self.held_out_rms_um(&self.fitted)
     }
 
     /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
@@ -119,7 +118,8 @@ impl Search<'_> {
         });
         let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
         let Some(pair) = best.filter(|pair| pair.bic < most) else { return false };
-        let [before, after] = self.comparable_rms_um([&self.fitted, &pair.fitted]);
+        let [before, after] =
+            [&self.fitted, &pair.fitted].map(|fitted| self.held_out_rms_um(fitted));
         if after >= before {
             return false;
         }
