@@ -28,7 +28,7 @@ pub(crate) struct Folds {
     /// Of a map of guides cut into stretches: the fold of each group for the guides.
     for_guides: Option<Vec<usize>>,
     pub count: usize,
-    pub unit: FoldUnit,
+    unit: FoldUnit,
     /// Finer blocks, for intervals.
     blocks: RowBlocks,
 }
@@ -188,9 +188,12 @@ impl Folds {
         (self.root_mean_square_residuals(problem, model, &first.0), first.1.clone())
     }
 
-    /// Returns whether a term is a guide for which drawn rows are held out, where stretches are for the others.
-    pub(crate) fn is_guide(&self, kind: &TermKind) -> bool {
-        self.for_guides.is_some() && kind.depends_on_positions_alone()
+    /// Returns what is held out at once to judge a term.
+    pub(crate) fn unit_for(&self, kind: &TermKind) -> FoldUnit {
+        match self.for_guides {
+            Some(_) if kind.depends_on_positions_alone() => FoldUnit::Readings,
+            _ => self.unit,
+        }
     }
 
     /// Returns what `model`, fitted to the others, leaves in each group, each fold held out in turn; with the models.
@@ -201,7 +204,7 @@ impl Folds {
         of_group: &[usize],
         count: usize,
     ) -> Arc<(Vec<f64>, Vec<Model>)> {
-        let has_guide = model.parts.iter().any(|part| self.is_guide(&part.kind));
+        let has_guide = model.parts.iter().any(|part| part.kind.depends_on_positions_alone());
         let Some(drawn) = self.for_guides.as_deref().filter(|_| has_guide) else {
             return cached_cross_validation(problem, model, of_group, count);
         };

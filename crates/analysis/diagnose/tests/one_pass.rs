@@ -311,6 +311,9 @@ fn a_map_of_a_bed_that_warms_is_corrected_by_its_thermometer_too() {
             findings.any(|finding| finding.column.as_deref() == Some(column) && finding.claimed)
         };
         assert!(has("temp_bed_c") && has("x_mm"), "{:?}", diagnosis.report.findings);
+        let evidence = |cause: &str| finding(&diagnosis, cause).evidence.join(" ");
+        assert!(evidence("straightness").contains("held-out readings"));
+        assert!(evidence("extra-heat-path").contains("held-out stretches"));
     }
 }
 

@@ -162,7 +162,8 @@ impl ChosenModel {
             transfer.as_ref().is_some_and(|transfer| transfer.dropped.contains(cause))
         };
         let of_judgement = |judgement: &TermJudgement| {
-            let mut finding = build_finding(problem, judgement, found.folds.unit);
+            let left_out = found.folds.unit_for(judgement.cause());
+            let mut finding = build_finding(problem, judgement, left_out);
             finding.gain.add_within_group_mean_square(within);
             step_duration::append_duration_sentence(&mut finding, &judgement.part, data, after);
             if is_dropped(judgement.cause()) {

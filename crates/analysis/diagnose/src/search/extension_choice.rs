@@ -4,7 +4,7 @@ use trueup_numerics::block_resampling::{RmsReduction, rms};
 
 use crate::{
     fit::{FitProblem, FittedModel},
-    folds::Folds,
+    folds::{FoldUnit, Folds},
     search::{
         extension::{ModelExtension, fit_scan_hits, fit_single_cause_extensions},
         model_comparison::{
@@ -51,33 +51,8 @@ struct AssessedExtension {
     reduction: RmsReduction,
     /// Whether it predicts better than the model before, by an amount that matters.
     is_gain: bool,
-    /// Whether drawn rows were held out for it, which are predicted better than stretches.
-    is_drawn: bool,
-}
-
-/// The least that an extension leaves which is a gain, in µm: of those for which stretches were held out, and drawn rows.
-#[derive(Clone, Copy)]
-struct LeastHeldOutRms([f64; 2]);
-
-impl LeastHeldOutRms {
-    fn new(all: &[AssessedExtension]) -> Self {
-        Self([false, true].map(|is_drawn| {
-            all.iter()
-                .filter(|extension| extension.is_gain && extension.is_drawn == is_drawn)
-                .map(|extension| extension.left_out_um)
-                .fold(f64::INFINITY, f64::min)
-        }))
-    }
-
-    /// Returns whether it predicts as well as the best that was judged in the same way.
-    fn is_reached_by(self, extension: &AssessedExtension) -> bool {
-        let least_um = self.0[usize::from(extension.is_drawn)];
-        extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
-    }
-
-    fn of_any(self) -> f64 {
-        self.0[0].min(self.0[1])
-    }
+    /// What was held out for it.
+    left_out_unit: FoldUnit,
 }
 
 /// The model before, on the same blocks.
@@ -108,7 +83,7 @@ impl<'s> BaselineModel<'s> {
             || MAX_EQUIVALENT_RMS_RATIO * left_out_um < before_um
                 && bic + self.search.interaction_penalty() < self.search.bic();
         let is_gain = reduction.is_gain && is_relevant && is_clear;
-        let is_drawn = self.folds.is_guide(&cause);
+        let left_out_unit = self.folds.unit_for(&cause);
         AssessedExtension {
             cause,
             fitted,
@@ -117,7 +92,7 @@ impl<'s> BaselineModel<'s> {
             left_out_um,
             reduction,
             is_gain,
-            is_drawn,
+            left_out_unit,
         }
     }
 
@@ -147,7 +122,7 @@ impl<'s> BaselineModel<'s> {
                     RejectReason::Outperformed
                 } else {
                     RejectReason::NoGain {
-                        left_out: self.folds.unit,
+                        left_out: extension.left_out_unit,
                         before_um: rms(&self.left_out),
                         after_um: extension.left_out_um,
                     }
@@ -177,11 +152,11 @@ pub(crate) fn choose_extension(
             baseline.assess(extension)
         })
         .collect();
-    let least = LeastHeldOutRms::new(&all);
-    if let Some(pair) = find_first_predictive_pair(&baseline, &all, tier, least.of_any()) {
+    let least_um = find_least_held_out_um(&all, |_| true);
+    if let Some(pair) = find_first_predictive_pair(&baseline, &all, tier, least_um) {
         return SelectionOutcome::Accept(pair);
     }
-    let Some(taken) = find_best_extension_index(&all, least) else {
+    let Some(taken) = find_best_extension_index(&all) else {
         return SelectionOutcome::Reject(baseline.rejected_extensions(&all, None));
     };
     let tried = baseline.rejected_extensions(&all, Some(taken));
@@ -195,9 +170,25 @@ pub(crate) fn choose_extension(
     })
 }
 
-/// Returns the place of the one to take, where this is the least that one of them leaves.
-fn find_best_extension_index(all: &[AssessedExtension], least: LeastHeldOutRms) -> Option<usize> {
-    let predicts = |extension: &AssessedExtension| least.is_reached_by(extension);
+/// Returns the least that one of the extensions which are a gain, and are `compared`, leaves on held-out blocks, in µm.
+fn find_least_held_out_um(
+    all: &[AssessedExtension],
+    compared: impl Fn(&AssessedExtension) -> bool,
+) -> f64 {
+    all.iter()
+        .filter(|extension| extension.is_gain && compared(extension))
+        .map(|extension| extension.left_out_um)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Returns the place of the one to take.
+fn find_best_extension_index(all: &[AssessedExtension]) -> Option<usize> {
+    // A drawn row of a guide is predicted better than a stretch: the two are no measure of each other.
+    let predicts = |extension: &AssessedExtension| {
+        let unit = extension.left_out_unit;
+        let least_um = find_least_held_out_um(all, |other| other.left_out_unit == unit);
+        extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
+    };
     let best = all
         .iter()
         .filter(|extension| predicts(extension))
